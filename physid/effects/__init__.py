@@ -1,0 +1,1 @@
+"""The physical effects physid knows: one file per family, one table that lists them all."""

@@ -1,0 +1,214 @@
+"""The table of effects, and what is done with it by name: list, add, restore from a file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import mujoco
+
+from physid.effects.actuation import ActuatorLag, DeadZone, InputDelay, Saturation
+from physid.effects.elasticity import CubicStiffness, LinearStiffness
+from physid.effects.friction import (
+    AsymmetricFriction,
+    CoulombFriction,
+    QuadraticDrag,
+    StribeckFriction,
+    ViscousDamping,
+)
+from physid.effects.structure import AddedInertia, ConstantLoad, GravityImbalance
+from physid.effects.transmission import Backlash, Cogging
+from physid.errors import InputError, ModelError, available
+from physid.plant.effect import Effect, Placed
+from physid.plant.loading import read_spec
+from physid.plant.model import Model
+from physid.plant.structure import KINDS, Place, Structure, structure_of
+
+CATALOGUE: tuple[Effect, ...] = (
+    ViscousDamping(),
+    CoulombFriction(),
+    AsymmetricFriction(),
+    StribeckFriction(),
+    QuadraticDrag(),
+    CubicStiffness(),
+    LinearStiffness(),
+    Backlash(),
+    ConstantLoad(),
+    GravityImbalance(),
+    Cogging(),
+    AddedInertia(),
+    Saturation(),
+    DeadZone(),
+    InputDelay(),
+    ActuatorLag(),
+)
+
+
+def effect_named(name: str) -> Effect:
+    """Return an effect of the catalogue.
+
+    Raises
+    ------
+    InputError
+        If there is none of this name; the sentence lists those there are.
+    """
+    for effect in CATALOGUE:
+        if effect.name == name:
+            return effect
+    raise InputError(
+        f"Effect '{name}' is not in the catalogue. {available(e.name for e in CATALOGUE)}"
+    )
+
+
+def places_of(effect: Effect, model: mujoco.MjModel, structure: Structure) -> list[Place]:
+    """List the places of a model where an effect can sit."""
+    return [
+        place
+        for place in structure.places
+        if place.kind in effect.kinds
+        and _right_joint(effect, structure, place)
+        and effect.possible(model, structure, place)
+    ]
+
+
+def _right_joint(effect: Effect, structure: Structure, place: Place) -> bool:
+    if place.kind != "joint":
+        return True
+    return structure.joint(place.name).hinge or not effect.hinge_only
+
+
+def add_effects(model: Model, additions: Sequence[str]) -> tuple[Model, list[str]]:
+    """Add effects written as ``EFFECT@LOCATION[:parameter=value,...]``.
+
+    Returns
+    -------
+    (Model, list of str)
+        The model, and the names of the parameters that were given no value and are to be fitted.
+    """
+    free: list[str] = []
+    for text in additions:
+        placed, given = parse_addition(model.structure, text)
+        allowed = places_of(placed.effect, model.nominal, model.structure)
+        if placed.place not in allowed:
+            listed = available(model.structure.label(p) for p in allowed)
+            label = model.structure.label(placed.place)
+            raise ModelError(f"{placed.effect.name} cannot act at {label} in this model. {listed}")
+        model = model.with_effect(placed)
+        free += [
+            f"{model.site(placed)}.{c.name}"
+            for c in placed.effect.coefficients
+            if c.name not in given and not c.fixed
+        ]
+    return model, free
+
+
+def parse_addition(structure: Structure, text: str) -> tuple[Placed, set[str]]:
+    """Read ``EFFECT@LOCATION[:parameter=value,...]``; say which parameters were given."""
+    name, at, rest = text.partition("@")
+    if not at or not rest:
+        raise InputError(
+            f"'{text}' is not EFFECT@LOCATION[:parameter=value,...]; for example "
+            "coulomb_friction@hinge:force=0.1."
+        )
+    effect = effect_named(name)
+    location, settings = rest, ""
+    if "=" in rest:
+        location, _, settings = rest[: rest.rindex("=")].rpartition(":")
+        head = rest.split("=")[0]
+        location, _, _ = head.rpartition(":")
+        settings = rest[len(location) + 1 :]
+    place = structure.find(location, effect.kinds)
+    given = _settings(effect, settings)
+    values = {c.name: given.get(c.name, _default(c.lower)) for c in effect.coefficients}
+    return Placed(effect, place, values), set(given)
+
+
+def _default(lower: float) -> float:
+    return max(lower, 0.0)
+
+
+def _settings(effect: Effect, text: str) -> dict[str, float]:
+    found: dict[str, float] = {}
+    names = [c.name for c in effect.coefficients]
+    for part in filter(None, text.split(",")):
+        key, _, value = part.partition("=")
+        if key not in names:
+            raise InputError(f"{effect.name} has no parameter '{key}'. {available(names)}")
+        try:
+            found[key] = float(value)
+        except ValueError:
+            raise InputError(f"{effect.name}: {key}={value!r} is not a number.") from None
+        coefficient = next(c for c in effect.coefficients if c.name == key)
+        if not coefficient.lower <= found[key] <= coefficient.upper:
+            raise InputError(
+                f"{effect.name}: {key}={value} lies outside its bounds "
+                f"{coefficient.lower:g} to {coefficient.upper:g}."
+            )
+    return found
+
+
+def load_model(path: str | os.PathLike[str]) -> Model:
+    """Load an MJCF file, run-time effects of physid included.
+
+    Parameters
+    ----------
+    path : path-like
+        MJCF file; it is never written to.
+
+    Returns
+    -------
+    Model
+
+    Raises
+    ------
+    ModelError
+        If the file is missing, is not MJCF, or does not compile.
+    """
+    spec, notes = read_spec(Path(path))
+    stored = _take_stored(spec)
+    structure = structure_of(spec.copy().compile())
+    model = Model(name=Path(path).name, spec=spec, notes=notes)
+    for text, data in stored:
+        name, _, location = text.partition("@")
+        effect = effect_named(name)
+        place = structure.find(location, effect.kinds)
+        values = dict(zip((c.name for c in effect.coefficients), data, strict=False))
+        if len(values) != len(effect.coefficients):
+            raise ModelError(
+                f"{Path(path).name}: custom entry physid:{text} holds {len(data)} numbers; "
+                f"{effect.name} has {len(effect.coefficients)} parameters."
+            )
+        effect.undo(spec, place, values)
+        model = model.with_effect(Placed(effect, place, values))
+    return model
+
+
+def _take_stored(spec: mujoco.MjSpec) -> list[tuple[str, list[float]]]:
+    stored = []
+    for numeric in list(spec.numerics):
+        if numeric.name.startswith("physid:"):
+            text = numeric.name.removeprefix("physid:")
+            if "@" in text:
+                stored.append((text, [float(x) for x in numeric.data]))
+            spec.delete(numeric)
+    return stored
+
+
+def describe(effect: Effect) -> Mapping[str, object]:
+    """Return an effect's entry of the catalogue as plain data."""
+    return {
+        "name": effect.name,
+        "family": effect.family,
+        "places": ["hinge" if k == "joint" and effect.hinge_only else k for k in effect.kinds],
+        "law": effect.law,
+        "parameters": [
+            {"name": c.name, "unit": c.unit, "description": c.meaning} for c in effect.coefficients
+        ],
+        "source": effect.source,
+        "representation": effect.representation,
+        "description": (type(effect).__doc__ or "").split("\n\n")[0].strip(),
+    }
+
+
+__all__ = ["CATALOGUE", "KINDS", "add_effects", "describe", "effect_named", "load_model", "places_of"]

@@ -1,0 +1,192 @@
+"""Friction: viscous, Coulomb, asymmetric, Stribeck, and drag that grows with the speed squared."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+
+from physid.effects.native import add_passive_force, edit_entry
+from physid.plant.effect import Coefficient, Effect, Element, Scales, Trial, spec_element
+from physid.plant.law import force_law
+from physid.plant.parameter import element_id, sharpen_friction
+from physid.plant.structure import Place
+
+SMALL = 0.02
+"""Size of a screened effect relative to the forces at its place: small enough to be linear."""
+COULOMB = "Coulomb 1785; Olsson et al., Friction models and friction compensation, EJC 4 (1998)"
+
+
+def add_friction_loss(spec: mujoco.MjSpec, place: Place, force: float) -> None:
+    """Raise the native friction loss of a joint or tendon by ``force`` [N or N m]."""
+    element = spec_element(spec, place)
+    element.frictionloss = max(element.frictionloss + force, 0.0)
+    sharpen_friction(element)
+
+
+class ViscousDamping(Effect):
+    """A force proportional to the speed: f = -d v.
+
+    Limits: lubricated contacts and eddy currents at moderate speed.
+    """
+
+    name = "viscous_damping"
+    family = "friction"
+    law = "-d v"
+    source = "Stokes 1851; MuJoCo joint/tendon damping"
+    kinds = ("joint", "tendon")
+    contained_in = "damping"
+    coefficients = (
+        Coefficient(name="damping", unit="{f}/({v})", meaning="force per speed"),
+    )
+
+    def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
+        edit_entry(spec, place, "damping", 0, values["damping"])
+
+    def trials(self, scales: Scales) -> Sequence[Trial]:
+        return (Trial(columns=({"damping": SMALL * scales.force / scales.speed},)),)
+
+
+class CoulombFriction(Effect):
+    """Dry friction of constant size against the motion: f = -Fc sign(v), and it can stick.
+
+    Limits: no rise at breakaway, no micro-slip before sliding.
+    """
+
+    name = "coulomb_friction"
+    family = "friction"
+    law = "-Fc sign(v)"
+    source = COULOMB
+    kinds = ("joint", "tendon")
+    contained_in = "frictionloss"
+    coefficients = (Coefficient(name="force", unit="{f}", meaning="sliding friction"),)
+
+    def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
+        add_friction_loss(spec, place, values["force"])
+
+    def trials(self, scales: Scales) -> Sequence[Trial]:
+        return (Trial(columns=({"force": SMALL * scales.force},)),)
+
+
+class AsymmetricFriction(Effect):
+    """Dry friction that differs between the two directions: -F+ for v > 0, +F- for v < 0.
+
+    It equals Coulomb friction of the mean size with a constant force of half the difference, and is
+    written so.
+    """
+
+    name = "asymmetric_friction"
+    family = "friction"
+    law = "-F+ for v > 0, +F- for v < 0"
+    source = "Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30 (1994), section 2"
+    kinds = ("joint",)
+    supersedes = ("coulomb_friction", "constant_load")
+    coefficients = (
+        Coefficient(name="force_positive", unit="{f}", meaning="friction while v > 0"),
+        Coefficient(name="force_negative", unit="{f}", meaning="friction while v < 0"),
+    )
+
+    def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
+        forward, backward = values["force_positive"], values["force_negative"]
+        add_friction_loss(spec, place, 0.5 * (forward + backward))
+        add_passive_force(spec, place, self.name, -0.5 * (forward - backward), 0.0, 0.5 * np.pi)
+
+    def trials(self, scales: Scales) -> Sequence[Trial]:
+        size = SMALL * scales.force
+        return (
+            Trial(
+                columns=(
+                    {"force_positive": size, "force_negative": 0.0},
+                    {"force_positive": 0.0, "force_negative": size},
+                )
+            ),
+        )
+
+
+@force_law
+def stribeck_rise(x, v, t, p):  # type: ignore[no-untyped-def]
+    """Rise of friction near rest: -p0 exp(-(v/p1)^2) tanh(v/p2)."""
+    return -p[0] * np.exp(-((v / p[1]) ** 2)) * np.tanh(v / p[2])
+
+
+class StribeckFriction(Effect):
+    """Dry friction that falls with speed: -(Fc + (Fs - Fc) exp(-(v/vs)^2)) sign(v).
+
+    The part Fc is the engine's friction loss, which can stick; the rise Fs - Fc is a run-time law
+    whose sign is smoothed over 5 % of vs.
+    """
+
+    name = "stribeck_friction"
+    family = "friction"
+    law = "-(Fc + (Fs - Fc) exp(-(v/vs)^2)) sign(v)"
+    source = "Stribeck 1902; Armstrong-Helouvry et al., Automatica 30 (1994), eq. 4"
+    kinds = ("joint",)
+    representation = "runtime"
+    supersedes = ("coulomb_friction",)
+    coefficients = (
+        Coefficient(name="force", unit="{f}", meaning="sliding friction Fc"),
+        Coefficient(name="static_force", unit="{f}", meaning="friction Fs at the edge of rest"),
+        Coefficient(
+            name="stribeck_velocity", unit="{v}", meaning="speed vs of the fall", lower=1e-6, shape=True
+        ),
+    )
+    speeds: ClassVar[tuple[float, ...]] = (0.05, 0.2, 0.6)
+
+    def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
+        add_friction_loss(spec, place, values["force"])
+
+    def undo(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
+        element = spec_element(spec, place)
+        element.frictionloss = round(max(element.frictionloss - values["force"], 0.0), 12)
+
+    def elements(
+        self, model: mujoco.MjModel, place: Place, values: Mapping[str, float]
+    ) -> tuple[Element, ...]:
+        row = np.eye(model.nv)[model.jnt_dofadr[element_id(model, place)]]
+        rise = values["static_force"] - values["force"]
+        speed = values["stribeck_velocity"]
+        constants = np.array([rise, speed, 0.05 * speed])
+        return (Element(address=stribeck_rise.address, row=row, offset=0.0, constants=constants),)
+
+    def trials(self, scales: Scales) -> Sequence[Trial]:
+        size = SMALL * scales.force
+        return tuple(
+            Trial(
+                columns=(
+                    {"force": size, "static_force": size, "stribeck_velocity": s * scales.speed},
+                    {"force": 0.0, "static_force": size, "stribeck_velocity": s * scales.speed},
+                ),
+                label=f"vs = {s * scales.speed:.3g}",
+            )
+            for s in self.speeds
+        )
+
+    def start(self, trial: Trial, amplitudes: np.ndarray, scales: Scales) -> dict[str, float]:
+        size = trial.columns[0]["force"]
+        force = max(float(amplitudes[0]) * size, 0.0)
+        return {
+            "force": force,
+            "static_force": max(force + float(amplitudes[1]) * size, force),
+            "stribeck_velocity": trial.columns[0]["stribeck_velocity"],
+        }
+
+
+class QuadraticDrag(Effect):
+    """Drag of a fluid at high Reynolds number: f = -c v |v|."""
+
+    name = "quadratic_drag"
+    family = "friction"
+    law = "-c v |v|"
+    source = "Rayleigh 1876; MuJoCo polynomial damping, second coefficient"
+    kinds = ("joint",)
+    coefficients = (Coefficient(name="drag", unit="{f}/({v})^2", meaning="force per speed squared"),)
+
+    def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
+        edit_entry(spec, place, "damping", 1, values["drag"])
+
+    def trials(self, scales: Scales) -> Sequence[Trial]:
+        return (Trial(columns=({"drag": SMALL * scales.force / scales.speed**2},)),)
+
+

@@ -1,0 +1,126 @@
+"""Transmission: play in a spring, and cogging of a motor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+
+from physid.effects.elasticity import stiffness_of
+from physid.effects.friction import SMALL
+from physid.effects.native import add_passive_force
+from physid.plant.effect import Coefficient, Effect, Element, Scales, Trial
+from physid.plant.law import force_law
+from physid.plant.parameter import element_id
+from physid.plant.structure import Place, Structure, tendon_row
+
+
+@force_law
+def play(x, v, t, p):  # type: ignore[no-untyped-def]
+    """Correction of a spring p0 and damper p1 to a spring and damper with a gap p2 in between."""
+    half = 0.5 * p[2]
+    if x > half:
+        return p[0] * half
+    if x < -half:
+        return -p[0] * half
+    return p[0] * x + p[1] * v
+
+
+class Backlash(Effect):
+    """Play: inside a gap neither the spring nor its damper acts; beyond it they act from the gap's edge.
+
+    ``gap`` is the whole free travel.  On a joint only its own spring is interrupted: its damper is
+    taken to be the bearing's.  The law is written as a correction of the model's spring (k) and
+    damper (d), so both stay parameters of the model.
+    """
+
+    name = "backlash"
+    family = "transmission"
+    law = "no force while |x| < gap/2; -k (x -+ gap/2) - d v beyond"
+    source = "Nordin, Gutman, Controlling mechanical systems with backlash, Automatica 38 (2002), eq. 2"
+    kinds = ("tendon", "joint")
+    representation = "runtime"
+    coefficients = (
+        Coefficient(name="gap", unit="{x}", meaning="whole free travel", shape=True),
+    )
+    fractions: ClassVar[tuple[float, ...]] = (0.05, 0.25, 0.8, 1.6)
+
+    def possible(self, model: mujoco.MjModel, structure: Structure, place: Place) -> bool:
+        if place.kind == "tendon" and tendon_row(model, element_id(model, place)) is None:
+            return False
+        return stiffness_of(model, place) > 0.0
+
+    def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
+        """Nothing: the law is a run-time correction."""
+
+    def elements(
+        self, model: mujoco.MjModel, place: Place, values: Mapping[str, float]
+    ) -> tuple[Element, ...]:
+        i = element_id(model, place)
+        if place.kind == "joint":
+            row = np.eye(model.nv)[model.jnt_dofadr[i]]
+            offset, damping = float(model.qpos_spring[model.jnt_qposadr[i]]), 0.0
+        else:
+            found = tendon_row(model, i)
+            assert found is not None
+            row, offset = found, float(model.tendon_lengthspring[i].mean())
+            damping = float(model.tendon_damping[i])
+        constants = np.array([stiffness_of(model, place), damping, values["gap"]])
+        return (Element(address=play.address, row=row, offset=offset, constants=constants),)
+
+    def trials(self, scales: Scales) -> Sequence[Trial]:
+        return tuple(
+            Trial(columns=({"gap": fraction * scales.position},), label=f"{fraction:g} of rms travel")
+            for fraction in self.fractions
+        )
+
+    def start(self, trial: Trial, amplitudes: np.ndarray, scales: Scales) -> dict[str, float]:
+        return {"gap": trial.columns[0]["gap"] * float(np.clip(amplitudes[0], 0.2, 3.0))}
+
+
+class Cogging(Effect):
+    """Torque ripple of a motor with n periods per turn: f = a sin(n q + phase)."""
+
+    name = "cogging"
+    family = "transmission"
+    law = "a sin(n q + phase)"
+    source = "Hanselman, Brushless permanent magnet motor design (2003), ch. 5; MuJoCo dcmotor cogging"
+    kinds = ("joint",)
+    hinge_only = True
+    coefficients = (
+        Coefficient(name="amplitude", unit="{f}", meaning="size of the ripple"),
+        Coefficient(name="periods", unit="1", meaning="periods per turn, whole", lower=1.0, fixed=True),
+        Coefficient(name="phase", unit="rad", meaning="angle at q = 0", lower=-np.inf, shape=True),
+    )
+    most_periods: ClassVar[int] = 36
+
+    def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
+        add_passive_force(
+            spec, place, self.name, values["amplitude"], values["periods"], values["phase"]
+        )
+
+    def trials(self, scales: Scales) -> Sequence[Trial]:
+        return tuple(
+            ripple_trial(SMALL * scales.force, n) for n in range(2, self.most_periods + 1)
+        )
+
+    def start(self, trial: Trial, amplitudes: np.ndarray, scales: Scales) -> dict[str, float]:
+        size, phase = polar(trial.columns[0]["amplitude"] * amplitudes)
+        return {"amplitude": size, "periods": trial.columns[0]["periods"], "phase": phase}
+
+
+def ripple_trial(size: float, periods: int) -> Trial:
+    """Return sine and cosine directions of a ripple [N m] with whole periods per turn."""
+    return Trial(
+        columns=tuple(
+            {"amplitude": size, "periods": float(periods), "phase": phase} for phase in (0.0, 0.5 * np.pi)
+        ),
+        label=f"n = {periods}",
+    )
+
+
+def polar(parts: np.ndarray) -> tuple[float, float]:
+    """Turn sine and cosine parts into amplitude and phase [rad]."""
+    return float(np.hypot(*parts)), float(np.arctan2(parts[1], parts[0]))

@@ -1,0 +1,168 @@
+"""What a physical effect is: an edit of the MJCF, with a law, places, coefficients and a source.
+
+The catalogue itself lives in :mod:`physid.effects`; this module states what a member must offer so
+that simulation, fitting, diagnosis and export all treat it alike.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal
+
+import mujoco
+import numpy as np
+
+from physid.plant.structure import Place, Structure
+
+Representation = Literal["native", "approximate", "runtime"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Coefficient:
+    """One parameter of an effect.
+
+    ``unit`` is written with ``{f}``, ``{x}`` and ``{v}`` for the force, position and speed units of
+    the place.  ``shape`` marks one that bends the law (a gap, a delay, a speed) rather than scales it;
+    ``fixed`` marks one that is chosen from a grid and not fitted (a whole number of periods).
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    lower: float = 0.0
+    upper: float = np.inf
+    shape: bool = False
+    fixed: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Element:
+    """A compiled force law acting along a combination of joints.
+
+    Parameters
+    ----------
+    address : int
+        Where the compiled law is.
+    row : ndarray (nv,)
+        x = row . qpos (relative to ``offset``), v = row . qvel, generalised force = row * law.
+    offset : float
+        Subtracted from row . qpos [m or rad].
+    constants : ndarray (k,)
+        The law's constants.
+    """
+
+    address: int
+    row: np.ndarray
+    offset: float
+    constants: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scales:
+    """How large things are at a place, from a simulation of the base model along the record.
+
+    All are root mean squares except where said; units of the place.
+    """
+
+    position: float
+    speed: float
+    acceleration: float
+    force: float
+    travel: float
+    largest: float
+    dt: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trial:
+    """A shape to try: one set of coefficients per direction, each small."""
+
+    columns: tuple[Mapping[str, float], ...]
+    label: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Effect(ABC):
+    """A physical effect of the catalogue (see the module's docstring)."""
+
+    name: ClassVar[str]
+    family: ClassVar[str]
+    law: ClassVar[str]
+    source: ClassVar[str]
+    kinds: ClassVar[tuple[str, ...]]
+    coefficients: ClassVar[tuple[Coefficient, ...]]
+    representation: ClassVar[Representation] = "native"
+    contained_in: ClassVar[str] = ""
+    """The model attribute that already is this effect (``damping`` is viscous damping)."""
+    supersedes: ClassVar[tuple[str, ...]] = ()
+    """Effects that this one contains as a special case."""
+    hinge_only: ClassVar[bool] = False
+
+    def possible(self, model: mujoco.MjModel, structure: Structure, place: Place) -> bool:
+        """Say whether the effect makes sense at a place of this model."""
+        return True
+
+    @abstractmethod
+    def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
+        """Write the effect into an MJCF specification (nothing, for a pure run-time law)."""
+
+    def undo(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
+        """Take back from a written file what a run-time effect had put into it natively."""
+
+    def elements(
+        self, model: mujoco.MjModel, place: Place, values: Mapping[str, float]
+    ) -> tuple[Element, ...]:
+        """Return the run-time force laws of the effect in a compiled model."""
+        return ()
+
+    def condition(self, u: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
+        """Return what the actuator makes of its input before the engine sees it (n,)."""
+        return u
+
+    @abstractmethod
+    def trials(self, scales: Scales) -> Sequence[Trial]:
+        """Return the shapes to screen."""
+
+    def start(self, trial: Trial, amplitudes: np.ndarray, scales: Scales) -> dict[str, float]:
+        """Turn a screened trial and its least-squares amplitudes into starting values."""
+        return {
+            c.name: float(
+                np.clip(
+                    sum(a * column[c.name] for a, column in zip(amplitudes, trial.columns, strict=True)),
+                    c.lower if np.isfinite(c.lower) else -np.inf,
+                    c.upper,
+                )
+            )
+            for c in self.coefficients
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """An effect at a place with values for its coefficients."""
+
+    effect: Effect
+    place: Place
+    values: Mapping[str, float] = field(default_factory=dict)
+
+    def same_site(self, other: Placed) -> bool:
+        """Say whether the other is the same effect at the same place."""
+        return self.effect.name == other.effect.name and self.place == other.place
+
+    def with_values(self, values: Mapping[str, float]) -> Placed:
+        """Return the same effect with some values replaced."""
+        return Placed(self.effect, self.place, {**self.values, **values})
+
+
+def spec_element(spec: mujoco.MjSpec, place: Place) -> Any:
+    """Return the element of a specification that a place names."""
+    finders = {
+        "joint": spec.joint,
+        "tendon": spec.tendon,
+        "actuator": spec.actuator,
+        "sensor": spec.sensor,
+        "body": spec.body,
+    }
+    return finders[place.kind](place.name)

@@ -1,0 +1,281 @@
+"""A model: an MJCF, plus values, plus effects.  Immutable; changing one makes another."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import mujoco
+import numpy as np
+
+from physid.errors import ModelError, available
+from physid.plant.effect import Coefficient, Effect, Element, Placed, spec_element
+from physid.plant.parameter import (
+    ATTRIBUTES,
+    Parameter,
+    element_id,
+    every_name,
+    read_parameter,
+    sharpen_friction,
+    split_name,
+    units_of,
+    write_unit,
+)
+from physid.plant.structure import Place, Structure, structure_of
+
+ELEMENT_TABLE = "physid:elements"
+"""Name of the table of run-time force laws in a compiled model; never written to a file."""
+ELEMENT_WIDTH = 64
+"""Numbers reserved per run-time force law."""
+LINEAR = 1  # the engine's code for linear interpolation of a delayed input
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plant:
+    """A model compiled at given values: what the two back ends simulate.
+
+    ``delays`` (nu,) [s] and ``conditioners`` act on the input before the engine sees it.
+    """
+
+    model: mujoco.MjModel
+    elements: tuple[Element, ...]
+    delays: np.ndarray
+    conditioners: tuple[tuple[int, Placed], ...]
+
+
+@dataclass(frozen=True)
+class Model:
+    """A rig as it is believed to be.
+
+    Parameters
+    ----------
+    name : str
+        For messages.
+    spec : mujoco.MjSpec
+        The MJCF, every element named; treated as read-only (it is copied before each edit).
+    values : mapping
+        Parameter name to value, where it differs from the MJCF.
+    effects : tuple of Placed
+        Effects added to the MJCF.
+    notes : tuple of str
+        What was done on loading.
+    """
+
+    name: str
+    spec: mujoco.MjSpec
+    values: Mapping[str, float] = field(default_factory=dict)
+    effects: tuple[Placed, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @cached_property
+    def nominal(self) -> mujoco.MjModel:
+        """The MJCF compiled as it stands."""
+        return self.spec.copy().compile()
+
+    @cached_property
+    def structure(self) -> Structure:
+        """Names and shapes of the model."""
+        return structure_of(self.nominal)
+
+    @property
+    def dt(self) -> float:
+        """The time step written in the MJCF [s]."""
+        return float(self.spec.option.timestep)
+
+    def parameter(self, name: str) -> Parameter:
+        """Return a parameter by name, at its present value.
+
+        Raises
+        ------
+        ModelError
+            If there is no such parameter; the sentence lists those there are.
+        """
+        if "@" in name:
+            return self._coefficient(name)
+        place, attribute = split_name(name, self.structure)
+        canonical = f"{self.structure.label(place)}.{attribute}"
+        found = read_parameter(self.nominal, place, attribute, canonical)
+        value = self.values.get(canonical, found.value)
+        return replace(found, value=value, scale=abs(value) or 1.0)
+
+    def _coefficient(self, name: str) -> Parameter:
+        for placed in self.effects:
+            for coefficient in placed.effect.coefficients:
+                if name == self.coefficient_name(placed, coefficient):
+                    return self._as_parameter(placed, coefficient, name)
+        raise ModelError(f"'{name}' is not a parameter. {available(self.effect_parameters())}")
+
+    def _as_parameter(self, placed: Placed, coefficient: Coefficient, name: str) -> Parameter:
+        value = float(placed.values.get(coefficient.name, 0.0))
+        return Parameter(
+            name=name,
+            value=min(max(value, coefficient.lower), coefficient.upper),
+            unit=write_unit(coefficient.unit, units_of(self.nominal, placed.place)),
+            lower=coefficient.lower,
+            upper=coefficient.upper,
+            scale=abs(value) or 1.0,
+        )
+
+    def coefficient_name(self, placed: Placed, coefficient: Coefficient) -> str:
+        """Write the parameter name of an effect's coefficient: ``EFFECT@PLACE.COEFFICIENT``."""
+        return f"{self.site(placed)}.{coefficient.name}"
+
+    def site(self, placed: Placed) -> str:
+        """Write an effect with its place: ``EFFECT@PLACE``."""
+        return f"{placed.effect.name}@{self.structure.label(placed.place)}"
+
+    def effect_parameters(self) -> list[str]:
+        """List the names of all fitted coefficients of the model's effects."""
+        return [
+            self.coefficient_name(p, c) for p in self.effects for c in p.effect.coefficients if not c.fixed
+        ]
+
+    def every_parameter(self) -> list[Parameter]:
+        """List every parameter of the MJCF itself."""
+        return [self.parameter(name) for name, _, _ in every_name(self.structure)]
+
+    def with_values(self, values: Mapping[str, float]) -> Model:
+        """Return the model with some parameter values replaced (MJCF's and effects' alike)."""
+        plain = {k: float(v) for k, v in values.items() if "@" not in k}
+        placed = tuple(
+            p.with_values(
+                {
+                    c.name: float(values[self.coefficient_name(p, c)])
+                    for c in p.effect.coefficients
+                    if self.coefficient_name(p, c) in values
+                }
+            )
+            for p in self.effects
+        )
+        return replace(self, values={**self.values, **plain}, effects=placed)
+
+    def with_effect(self, placed: Placed) -> Model:
+        """Return the model with one effect more; effects it contains at that place are dropped."""
+        kept = tuple(
+            p
+            for p in self.effects
+            if not (p.place == placed.place and p.effect.name in placed.effect.supersedes)
+            and not p.same_site(placed)
+        )
+        return replace(self, effects=(*kept, placed))
+
+    def compile(self, timestep: float) -> Plant:
+        """Compile at the present values.
+
+        Parameters
+        ----------
+        timestep : float
+            Integration step [s]; the integrator is RK4 whatever the MJCF says.
+
+        Raises
+        ------
+        ModelError
+            If the engine refuses the values.
+        """
+        spec = self._edited(timestep)
+        delays = _take_delays(spec, self.structure, timestep)
+        runtime = [p for p in self.effects if p.effect.representation == "runtime"]
+        if runtime:
+            spec.add_numeric(name=ELEMENT_TABLE, size=ELEMENT_WIDTH * 2 * len(runtime) + 2,
+                             data=np.zeros(1))
+        try:
+            model = spec.compile()
+        except ValueError as error:
+            raise ModelError(f"MuJoCo refuses {self.name} at the values tried: {error}.") from None
+        return Plant(
+            model=model,
+            elements=tuple(e for p in runtime for e in p.effect.elements(model, p.place, p.values)),
+            delays=delays,
+            conditioners=tuple(
+                (self.structure.inputs.index(p.place.name), p)
+                for p in self.effects
+                if type(p.effect).condition is not Effect.condition
+            ),
+        )
+
+    def _edited(self, timestep: float) -> mujoco.MjSpec:
+        spec = self.spec.copy()
+        spec.option.timestep = timestep
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
+        spec.option.tolerance = 1e-14
+        for actuator in spec.actuators:
+            if actuator.dyntype == mujoco.mjtDyn.mjDYN_FILTEREXACT:
+                # The exact step formula is meant for Euler; inside RK4 the plain filter is exact.
+                actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTER
+        parsed = [(split_name(name, self.structure), value) for name, value in self.values.items()]
+        for place in {place for (place, _), _ in parsed if place.kind == "body"}:
+            self._make_inertial_explicit(spec.body(place.name), place)
+        for (place, attribute), value in parsed:
+            ATTRIBUTES[place.kind, attribute].write(spec_element(spec, place), value)
+        for placed in self.effects:
+            placed.effect.edit(spec, placed.place, placed.values)
+        return spec
+
+    def _make_inertial_explicit(self, body: object, place: Place) -> None:
+        i = element_id(self.nominal, place)
+        for attribute, value in (
+            ("mass", float(self.nominal.body_mass[i])),
+            ("ipos", self.nominal.body_ipos[i].copy()),
+            ("iquat", self.nominal.body_iquat[i].copy()),
+            ("inertia", self.nominal.body_inertia[i].copy()),
+            ("fullinertia", np.full(6, np.nan)),
+            ("explicitinertial", True),
+        ):
+            setattr(body, attribute, value)
+
+    def to_xml(self, timestep: float) -> str:
+        """Write the model as MJCF, with run-time effects as ``<custom>`` entries ``physid:...``.
+
+        Parameters
+        ----------
+        timestep : float
+            Step [s] written into the file: the one its figures were simulated with.
+
+        Notes
+        -----
+        MuJoCo's writer keeps six significant digits.
+        """
+        spec = self._edited(timestep)
+        for placed in self.effects:
+            if placed.effect.representation == "runtime":
+                data = [float(placed.values[c.name]) for c in placed.effect.coefficients]
+                spec.add_numeric(name=f"physid:{self.site(placed)}", data=data, size=len(data))
+        spec.compile()
+        return str(spec.to_xml())
+
+
+def _take_delays(spec: mujoco.MjSpec, structure: Structure, timestep: float) -> np.ndarray:
+    """Move the actuators' delays out of the engine: inputs are shifted exactly beforehand."""
+    delays = np.zeros(len(structure.inputs))
+    for actuator in spec.actuators:
+        if actuator.delay > 0:
+            lead = 0.5 * timestep if actuator.interp == LINEAR else 0.0
+            for k, name in enumerate(structure.inputs):
+                if name == actuator.name:
+                    delays[k] = max(actuator.delay - lead, 0.0)
+            actuator.delay = 0.0
+            actuator.nsample = 0
+    return delays
+
+
+def write_delay(actuator: object, delay: float, timestep: float) -> None:
+    """Give an actuator a pure delay in the engine's own terms.
+
+    The engine interpolates its samples of the input linearly, which leads a held input by half a
+    step; the half step is added so that the file behaves as the held input delayed by ``delay``.
+    """
+    if delay <= 0:
+        return
+    actuator.delay = delay + 0.5 * timestep  # type: ignore[attr-defined]
+    actuator.nsample = int(math.ceil(delay / timestep)) + 3  # type: ignore[attr-defined]
+    actuator.interp = LINEAR  # type: ignore[attr-defined]
+
+
+def fitted_names(model: Model, names: Sequence[str]) -> list[str]:
+    """Return canonical parameter names for what a user wrote."""
+    return [model.parameter(name).name for name in names]
+
+
+__all__ = ["ELEMENT_TABLE", "ELEMENT_WIDTH", "Model", "Plant", "fitted_names", "sharpen_friction", "write_delay"]

@@ -1,0 +1,298 @@
+"""One simulation interface, two back ends: the compiled network and MuJoCo.
+
+The network is used where probing shows that it is the same system as the engine; the engine is the
+reference for every model and confirms every final result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
+
+import mujoco
+import numpy as np
+
+from physid.plant.engine import simulate_engine
+from physid.plant.callback import run_time_laws
+from physid.plant.model import Model, Plant
+from physid.plant.network import agrees, integrate, network_of
+from physid.plant.structure import Structure
+
+Hold = Literal["zero", "first"]
+_LINEAR_SENSORS = (
+    int(mujoco.mjtSensor.mjSENS_JOINTPOS),
+    int(mujoco.mjtSensor.mjSENS_JOINTVEL),
+    int(mujoco.mjtSensor.mjSENS_TENDONPOS),
+    int(mujoco.mjtSensor.mjSENS_TENDONVEL),
+    int(mujoco.mjtSensor.mjSENS_ACTUATORPOS),
+    int(mujoco.mjtSensor.mjSENS_ACTUATORVEL),
+    int(mujoco.mjtSensor.mjSENS_FRAMEPOS),
+    int(mujoco.mjtSensor.mjSENS_FRAMELINVEL),
+    int(mujoco.mjtSensor.mjSENS_FRAMEANGVEL),
+    int(mujoco.mjtSensor.mjSENS_FRAMELINACC),
+    int(mujoco.mjtSensor.mjSENS_FRAMEANGACC),
+    int(mujoco.mjtSensor.mjSENS_ACCELEROMETER),
+    int(mujoco.mjtSensor.mjSENS_GYRO),
+    int(mujoco.mjtSensor.mjSENS_VELOCIMETER),
+)
+
+
+class Rollout(NamedTuple):
+    """Simulated windows: outputs (w, samples, channels), states (w, samples, nq + nv + na)."""
+
+    outputs: np.ndarray
+    states: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ranges:
+    """Where a record moves: half-widths of position and speed (nv,), of the input (nu,)."""
+
+    position: np.ndarray
+    speed: np.ndarray
+    level: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Simulator:
+    """How records of one rig are simulated.
+
+    Parameters
+    ----------
+    structure : Structure
+        Of every model it will be given.
+    dt : float
+        Sampling interval of the record [s].
+    substeps : int
+        RK4 steps per sample.
+    hold : {"zero", "first"}
+        The input between samples: held, or joined by straight lines.
+    compiled : bool
+        Whether the network may be used.
+    sensor_map : ndarray (channels, 1 + 3 nv) or None
+        Outputs as constant, position, speed and acceleration parts; None if they are not linear.
+    threads : int
+        Columns simulated at a time.
+    """
+
+    structure: Structure
+    dt: float
+    substeps: int
+    hold: Hold = "zero"
+    compiled: bool = False
+    sensor_map: np.ndarray | None = None
+    threads: int = 1
+
+    @property
+    def step(self) -> float:
+        """The integration step [s]."""
+        return self.dt / self.substeps
+
+    def with_substeps(self, substeps: int) -> Simulator:
+        """Return the simulator with another number of steps per sample."""
+        return replace(self, substeps=substeps)
+
+    def with_engine(self) -> Simulator:
+        """Return the simulator with the engine as its only back end."""
+        return replace(self, compiled=False)
+
+    def controls(self, plant: Plant, inputs: np.ndarray) -> np.ndarray:
+        """Turn a record's inputs (n, nu) into the input of every substep (n * substeps, nu)."""
+        n = len(inputs)
+        if self.hold == "zero" or n < 2:
+            fine = np.repeat(inputs, self.substeps, axis=0)
+        else:
+            middle = (np.arange(n * self.substeps) + 0.5) / self.substeps
+            fine = np.column_stack(
+                [np.interp(middle, np.arange(n), column) for column in inputs.T]
+            ).reshape(-1, inputs.shape[1])
+        for k, placed in plant.conditioners:
+            fine[:, k] = placed.effect.condition(fine[:, k], placed.values)
+        for k in np.flatnonzero(plant.delays):
+            fine[:, k] = delayed(fine[:, k], plant.delays[k] / self.step)
+        return np.ascontiguousarray(fine)
+
+    def run(
+        self,
+        plants: Sequence[Plant],
+        initial: Sequence[np.ndarray],
+        inputs: np.ndarray,
+        starts: np.ndarray,
+        samples: int,
+    ) -> list[Rollout]:
+        """Simulate windows of one record with several plants.
+
+        Parameters
+        ----------
+        plants : sequence of Plant
+            Compiled at this simulator's step.
+        initial : sequence of ndarray (w, nq + nv + na)
+            State at the start of each window, per plant.
+        inputs : ndarray (n, nu)
+            The whole record's inputs.
+        starts : ndarray (w,)
+            First sample of each window.
+        samples : int
+            Samples per window.
+
+        Returns
+        -------
+        list of Rollout
+            One per plant; NaN after a divergence.
+        """
+        controls = [self.controls(plant, inputs) for plant in plants]
+        if self.compiled:
+            found = self._run_network(plants, initial, controls, starts, samples)
+            if found is not None:
+                return found
+        runs = simulate_engine(
+            plants, initial, controls, starts, samples, self.substeps, self.threads
+        )
+        channels = [c.address for c in self.structure.channels]
+        return [Rollout(outputs[:, :, channels], states) for outputs, states in runs]
+
+    def _run_network(
+        self,
+        plants: Sequence[Plant],
+        initial: Sequence[np.ndarray],
+        controls: Sequence[np.ndarray],
+        starts: np.ndarray,
+        samples: int,
+    ) -> list[Rollout] | None:
+        data = mujoco.MjData(plants[0].model)
+        networks = [network_of(plant, data) for plant in plants]
+        if any(network is None for network in networks):
+            return None
+        nv = self.structure.nv
+        states = [np.empty((len(starts), samples, x.shape[1])) for x in initial]
+        accelerations = [np.empty((len(starts), samples, nv)) for _ in initial]
+
+        def one(k: int) -> None:
+            integrate(networks[k], np.ascontiguousarray(initial[k]), controls[k],
+                      np.asarray(starts, dtype=np.int64), samples, self.substeps, self.step,
+                      states[k], accelerations[k])
+
+        if self.threads > 1 and len(plants) > 1:
+            with ThreadPoolExecutor(self.threads) as pool:
+                list(pool.map(one, range(len(plants))))
+        else:
+            for k in range(len(plants)):
+                one(k)
+        if any(_leaves_limits(plant.model, x) for plant, x in zip(plants, states, strict=True)):
+            return None
+        return [
+            Rollout(self._outputs(x, a), x) for x, a in zip(states, accelerations, strict=True)
+        ]
+
+    def _outputs(self, states: np.ndarray, accelerations: np.ndarray) -> np.ndarray:
+        nv = self.structure.nv
+        assert self.sensor_map is not None
+        outputs = states[:, :, : 2 * nv] @ self.sensor_map[:, 1 : 1 + 2 * nv].T
+        outputs += self.sensor_map[:, 0]
+        if np.any(self.sensor_map[:, 1 + 2 * nv :]):
+            outputs += accelerations @ self.sensor_map[:, 1 + 2 * nv :].T
+        return np.asarray(outputs)
+
+
+def delayed(u: np.ndarray, steps: float) -> np.ndarray:
+    """Delay a held signal by a fractional number of steps (its mean over each step).
+
+    Before the record the input is taken to have been what it is at the first row.
+    """
+    whole = int(np.floor(steps))
+    part = steps - whole
+    index = np.arange(len(u)) - whole
+    return (1.0 - part) * u[np.maximum(index, 0)] + part * u[np.maximum(index - 1, 0)]
+
+
+def _leaves_limits(model: mujoco.MjModel, states: np.ndarray) -> bool:
+    for i in np.flatnonzero(model.jnt_limited):
+        q = states[:, :, model.jnt_qposadr[i]]
+        margin = float(model.jnt_margin[i])
+        low, high = model.jnt_range[i]
+        if np.any(q < low + margin) or np.any(q > high - margin):
+            return True
+    return bool(np.any(model.tendon_limited))
+
+
+def make_simulator(
+    model: Model,
+    dt: float,
+    substeps: int,
+    ranges: Ranges,
+    *,
+    hold: Hold = "zero",
+    threads: int = 1,
+    seed: int = 0,
+) -> Simulator:
+    """Choose the back end for a model by probing it against the engine.
+
+    Parameters
+    ----------
+    model : Model
+        At its present values.
+    dt : float
+        Sampling interval [s].
+    substeps : int
+        RK4 steps per sample.
+    ranges : Ranges
+        Where to probe.
+    """
+    simulator = Simulator(
+        structure=model.structure, dt=dt, substeps=substeps, hold=hold, threads=threads
+    )
+    plant = model.compile(simulator.step)
+    data = mujoco.MjData(plant.model)
+    network = network_of(plant, data)
+    if network is None:
+        return simulator
+    rng = np.random.default_rng(seed)
+    with run_time_laws([plant]):
+        same = agrees(plant, network, data, rng, ranges.position, ranges.speed, ranges.level)
+    sensor_map = linear_sensors(plant.model, model.structure, data, rng, ranges)
+    if not same or sensor_map is None:
+        return simulator
+    return replace(simulator, compiled=True, sensor_map=sensor_map)
+
+
+def linear_sensors(
+    model: mujoco.MjModel,
+    structure: Structure,
+    data: mujoco.MjData,
+    rng: np.random.Generator,
+    ranges: Ranges,
+) -> np.ndarray | None:
+    """Find outputs = constant + C q + D v + E qdd by probing; None where they are not so.
+
+    Returns
+    -------
+    ndarray (channels, 1 + 3 nv) or None
+    """
+    names = {c.sensor for c in structure.channels}
+    for i in range(model.nsensor):
+        if model.sensor(i).name in names and model.sensor_type[i] not in _LINEAR_SENSORS:
+            return None
+    if np.any(getattr(model, "sensor_delay", np.zeros(1))) or np.any(model.sensor_cutoff):
+        return None
+    nv, rows = model.nv, 3 * (1 + 3 * model.nv) + 8
+    regressors, outputs = np.ones((rows, 1 + 3 * nv)), np.empty((rows, model.nsensordata))
+    for k in range(rows):
+        data.qpos[:] = ranges.position * rng.uniform(-1, 1, nv)
+        data.qvel[:] = ranges.speed * rng.uniform(-1, 1, nv)
+        data.qfrc_applied[:] = rng.uniform(-1, 1, nv)
+        mujoco.mj_forward(model, data)
+        regressors[k, 1:] = np.concatenate([data.qpos, data.qvel, data.qacc])
+        outputs[k] = data.sensordata
+    data.qfrc_applied[:] = 0.0
+    scale = np.abs(regressors).max(axis=0)
+    scale[scale == 0] = 1.0
+    solution = np.linalg.lstsq(regressors / scale, outputs, rcond=1e-13)[0]
+    error = np.abs(regressors / scale @ solution - outputs).max(axis=0)
+    solution /= scale[:, None]
+    solution[np.abs(solution * scale[:, None]) < 1e-12 * np.abs(outputs).max(initial=1e-300)] = 0.0
+    addresses = [c.address for c in structure.channels]
+    if np.any(error[addresses] > 1e-9 * np.maximum(np.abs(outputs).max(axis=0)[addresses], 1e-12)):
+        return None
+    return np.ascontiguousarray(solution.T[addresses])

@@ -1,0 +1,206 @@
+"""What a model is made of: named joints, tendons, actuators, sensors and bodies, and their places.
+
+A *place* is where a parameter or an effect sits.  Its label is the element's name; where two kinds
+of element share the name, the kind stands in front (``joint:hinge``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from physid.errors import ModelError, available
+
+KINDS = ("joint", "tendon", "actuator", "sensor", "body")
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Place:
+    """An element of the model: its kind (one of :data:`KINDS`) and its name."""
+
+    kind: str
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """A hinge or slide joint: name, type, address in qpos and in qvel."""
+
+    name: str
+    hinge: bool
+    qpos: int
+    dof: int
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One scalar measured quantity: its record column, sensor number, address and unit."""
+
+    name: str
+    sensor: str
+    address: int
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class Structure:
+    """Names and shapes of a compiled model; the same for every value of its parameters."""
+
+    joints: tuple[Joint, ...]
+    places: tuple[Place, ...]
+    channels: tuple[Channel, ...]
+    inputs: tuple[str, ...]
+    nq: int
+    nv: int
+    na: int
+
+    def label(self, place: Place) -> str:
+        """Write a place as users do: the name, with the kind in front where names are shared."""
+        shared = sum(p.name == place.name for p in self.places) > 1
+        return f"{place.kind}:{place.name}" if shared else place.name
+
+    def find(self, text: str, kinds: Iterable[str]) -> Place:
+        """Read a place from what a user wrote.
+
+        Parameters
+        ----------
+        text : str
+            ``NAME`` or ``KIND:NAME``.
+        kinds : iterable of str
+            Kinds of element that are meaningful here.
+
+        Raises
+        ------
+        ModelError
+            If no such element exists, or if the name alone means several.
+        """
+        allowed = [p for p in self.places if p.kind in set(kinds)]
+        kind, _, rest = text.partition(":")
+        if rest and kind in KINDS:
+            found = [p for p in allowed if p == Place(kind, rest)]
+        else:
+            found = [p for p in allowed if p.name == text]
+        if len(found) == 1:
+            return found[0]
+        listed = available(self.label(p) for p in allowed)
+        if found:
+            both = " and a ".join(p.kind for p in found)
+            raise ModelError(f"'{text}' names a {both}; put the kind in front. {listed}")
+        raise ModelError(f"No {' or '.join(kinds)} is called '{text}' in this model. {listed}")
+
+    def joint(self, name: str) -> Joint:
+        """Return the joint of this name."""
+        return next(j for j in self.joints if j.name == name)
+
+    def of_kind(self, kind: str) -> tuple[Place, ...]:
+        """Return the places of one kind, in model order."""
+        return tuple(p for p in self.places if p.kind == kind)
+
+
+def structure_of(model: mujoco.MjModel) -> Structure:
+    """Read the structure of a compiled model whose elements all have names."""
+    joints = tuple(
+        Joint(
+            name=model.joint(i).name,
+            hinge=model.jnt_type[i] == int(mujoco.mjtJoint.mjJNT_HINGE),
+            qpos=int(model.jnt_qposadr[i]),
+            dof=int(model.jnt_dofadr[i]),
+        )
+        for i in range(model.njnt)
+        if model.jnt_type[i] in (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+    )
+    places = [Place("joint", j.name) for j in joints]
+    places += [Place("tendon", model.tendon(i).name) for i in range(model.ntendon)]
+    places += [
+        Place("actuator", model.actuator(i).name)
+        for i in range(model.nactuator)
+        if model.actuator_ctrlnum[i] > 0
+    ]
+    places += [Place("sensor", model.sensor(i).name) for i in range(model.nsensor)]
+    places += [Place("body", model.body(i).name) for i in range(1, model.nbody)]
+    return Structure(
+        joints=joints,
+        places=tuple(places),
+        channels=_channels(model),
+        inputs=_inputs(model),
+        nq=model.nq,
+        nv=model.nv,
+        na=model.na,
+    )
+
+
+def _inputs(model: mujoco.MjModel) -> tuple[str, ...]:
+    names = [""] * model.nu
+    for i in range(model.nactuator):
+        count, address = int(model.actuator_ctrlnum[i]), int(model.actuator_ctrladr[i])
+        for k in range(count):
+            names[address + k] = model.actuator(i).name + (f".{k}" if count > 1 else "")
+    return tuple(names)
+
+
+_UNITS = {
+    int(mujoco.mjtSensor.mjSENS_FRAMEPOS): "m",
+    int(mujoco.mjtSensor.mjSENS_FRAMELINVEL): "m/s",
+    int(mujoco.mjtSensor.mjSENS_VELOCIMETER): "m/s",
+    int(mujoco.mjtSensor.mjSENS_FRAMEANGVEL): "rad/s",
+    int(mujoco.mjtSensor.mjSENS_GYRO): "rad/s",
+    int(mujoco.mjtSensor.mjSENS_ACCELEROMETER): "m/s^2",
+    int(mujoco.mjtSensor.mjSENS_FRAMELINACC): "m/s^2",
+    int(mujoco.mjtSensor.mjSENS_FRAMEANGACC): "rad/s^2",
+    int(mujoco.mjtSensor.mjSENS_FORCE): "N",
+    int(mujoco.mjtSensor.mjSENS_TORQUE): "N m",
+}
+
+
+def _sensor_unit(model: mujoco.MjModel, i: int) -> str:
+    kind, target = model.sensor_type[i], int(model.sensor_objid[i])
+    sensors = mujoco.mjtSensor
+    if kind in (int(sensors.mjSENS_JOINTPOS), int(sensors.mjSENS_JOINTVEL)):
+        hinge = model.jnt_type[target] == int(mujoco.mjtJoint.mjJNT_HINGE)
+        return ("rad" if hinge else "m") + ("/s" if kind == int(sensors.mjSENS_JOINTVEL) else "")
+    if kind in (int(sensors.mjSENS_TENDONPOS), int(sensors.mjSENS_TENDONVEL)):
+        unit = tendon_unit(model, target)
+        return unit + ("/s" if kind == int(sensors.mjSENS_TENDONVEL) else "")
+    return _UNITS.get(kind, "1")
+
+
+def _channels(model: mujoco.MjModel) -> tuple[Channel, ...]:
+    found = []
+    for i in range(model.nsensor):
+        name, dim, address = model.sensor(i).name, int(model.sensor_dim[i]), int(model.sensor_adr[i])
+        unit = _sensor_unit(model, i)
+        for k in range(dim):
+            suffix = "" if dim == 1 else "." + ("xyz"[k] if dim == 3 else str(k))
+            found.append(Channel(name + suffix, name, address + k, unit))
+    return tuple(found)
+
+
+def tendon_row(model: mujoco.MjModel, tendon: int) -> np.ndarray | None:
+    """Return a fixed tendon's joint coefficients as a row over qvel, or None for a spatial one.
+
+    Returns
+    -------
+    ndarray (nv,) or None
+        d(length)/d(qpos) of a tendon made of joints alone.
+    """
+    row = np.zeros(model.nv)
+    first, count = int(model.tendon_adr[tendon]), int(model.tendon_num[tendon])
+    for w in range(first, first + count):
+        if model.wrap_type[w] != int(mujoco.mjtWrap.mjWRAP_JOINT):
+            return None
+        row[model.jnt_dofadr[model.wrap_objid[w]]] = model.wrap_prm[w]
+    return row
+
+
+def tendon_unit(model: mujoco.MjModel, tendon: int) -> str:
+    """Return ``rad`` for a tendon that couples hinges only, else ``m``."""
+    first, count = int(model.tendon_adr[tendon]), int(model.tendon_num[tendon])
+    hinges = all(
+        model.wrap_type[w] == int(mujoco.mjtWrap.mjWRAP_JOINT)
+        and model.jnt_type[model.wrap_objid[w]] == int(mujoco.mjtJoint.mjJNT_HINGE)
+        for w in range(first, first + count)
+    )
+    return "rad" if hinges and count else "m"
