@@ -14,6 +14,7 @@ Source of the element formulas: MuJoCo documentation, chapters Modeling and Comp
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import mujoco
@@ -33,9 +34,9 @@ class Network(NamedTuple):
     """A constant-mass plant as plain arrays (rows are over the nv joint coordinates).
 
     ``springs``: offset, k1, k2, k3, low, high.  ``dampers``: d1, d2, d3.  ``gravity`` (nv, 1 + 2 nv):
-    constant, sine and cosine parts per joint angle.  ``actuators``: gain 3, bias 3, cogging 3, force
+    constant, sine and cosine parts per joint angle; ``swings`` lists the joints that have any.  ``actuators``: gain 3, bias 3, cogging 3, force
     low and high, ctrl low and high, time constant (0: none), activation and ctrl number.
-    ``friction``: force, R, B of the engine's constraint.  ``laws``: address, offset, constants' start.
+    ``friction``: force, R, B of the engine's constraint; ``diagonals`` of J M^-1 J'.  ``laws``: address, offset, constants' start.
     """
 
     inverse_mass: np.ndarray
@@ -44,10 +45,12 @@ class Network(NamedTuple):
     damper_rows: np.ndarray
     dampers: np.ndarray
     gravity: np.ndarray
+    swings: np.ndarray
     actuator_rows: np.ndarray
     actuators: np.ndarray
     friction_rows: np.ndarray
     friction: np.ndarray
+    diagonals: np.ndarray
     law_rows: np.ndarray
     law_offsets: np.ndarray
     law_addresses: np.ndarray
@@ -55,126 +58,120 @@ class Network(NamedTuple):
     law_constants: np.ndarray
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
-def _forces(net, q, v, act, u, t, force):  # type: ignore[no-untyped-def]
-    nv = q.size
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _accelerate(inverse_mass, spring_rows, springs, damper_rows, dampers, gravity, swings,
+                actuator_rows, actuators, friction_rows, friction, diagonals, law_rows, law_offsets,
+                law_addresses, law_starts, law_constants, x, controls, row, t, rate, force,
+                friction_force):  # type: ignore[no-untyped-def]
+    """Write d(state)/dt of a network into ``rate``; one function without views, because it is hot."""
+    nv = inverse_mass.shape[0]
     for i in range(nv):
-        total = net.gravity[i, 0]
+        force[i] = gravity[i, 0]
+    for s in range(swings.size):
+        j = swings[s]
+        sine, cosine = math.sin(x[j]), math.cos(x[j])
+        for i in range(nv):
+            force[i] += gravity[i, 1 + j] * sine + gravity[i, 1 + nv + j] * cosine
+    for e in range(springs.shape[0]):
+        z = -springs[e, 0]
         for j in range(nv):
-            if net.gravity[i, 1 + j] != 0.0 or net.gravity[i, 1 + nv + j] != 0.0:
-                total += net.gravity[i, 1 + j] * np.sin(q[j])
-                total += net.gravity[i, 1 + nv + j] * np.cos(q[j])
-        force[i] = total
-    for e in range(net.springs.shape[0]):
-        x = -net.springs[e, 0]
-        for j in range(nv):
-            x += net.spring_rows[e, j] * q[j]
-        if x > net.springs[e, 5]:
-            x -= net.springs[e, 5]
-        elif x < net.springs[e, 4]:
-            x -= net.springs[e, 4]
+            z += spring_rows[e, j] * x[j]
+        if z > springs[e, 5]:
+            z -= springs[e, 5]
+        elif z < springs[e, 4]:
+            z -= springs[e, 4]
         else:
-            x = 0.0
-        f = -x * (net.springs[e, 1] + x * (net.springs[e, 2] + x * net.springs[e, 3]))
+            z = 0.0
+        f = -z * (springs[e, 1] + z * (springs[e, 2] + z * springs[e, 3]))
         for j in range(nv):
-            force[j] += net.spring_rows[e, j] * f
-    for e in range(net.dampers.shape[0]):
-        x = 0.0
+            force[j] += spring_rows[e, j] * f
+    for e in range(dampers.shape[0]):
+        z = 0.0
         for j in range(nv):
-            x += net.damper_rows[e, j] * v[j]
-        f = -x * (net.dampers[e, 0] + abs(x) * (net.dampers[e, 1] + abs(x) * net.dampers[e, 2]))
+            z += damper_rows[e, j] * x[nv + j]
+        f = -z * (dampers[e, 0] + abs(z) * (dampers[e, 1] + abs(z) * dampers[e, 2]))
         for j in range(nv):
-            force[j] += net.damper_rows[e, j] * f
-    for e in range(net.actuators.shape[0]):
-        a = net.actuators[e]
+            force[j] += damper_rows[e, j] * f
+    for e in range(actuators.shape[0]):
         length = 0.0
-        rate = 0.0
+        speed = 0.0
         for j in range(nv):
-            length += net.actuator_rows[e, j] * q[j]
-            rate += net.actuator_rows[e, j] * v[j]
+            length += actuator_rows[e, j] * x[j]
+            speed += actuator_rows[e, j] * x[nv + j]
         command = 0.0
-        if a[14] >= 0:
-            command = act[int(a[14])]
-        elif a[15] >= 0:
-            command = min(max(u[int(a[15])], a[11]), a[12])
-        f = (a[0] + a[1] * length + a[2] * rate) * command + a[3] + a[4] * length + a[5] * rate
-        if a[6] != 0.0:
-            f += a[6] * np.sin(a[7] * length + a[8])
-        f = min(max(f, a[9]), a[10])
+        if actuators[e, 15] >= 0:
+            command = controls[row, int(actuators[e, 15])]
+            command = min(max(command, actuators[e, 11]), actuators[e, 12])
+        if actuators[e, 14] >= 0:
+            k = 2 * nv + int(actuators[e, 14])
+            rate[k] = (command - x[k]) / actuators[e, 13] if actuators[e, 13] > 0.0 else command
+            command = x[k]
+        f = (actuators[e, 0] + actuators[e, 1] * length + actuators[e, 2] * speed) * command
+        f += actuators[e, 3] + actuators[e, 4] * length + actuators[e, 5] * speed
+        if actuators[e, 6] != 0.0:
+            f += actuators[e, 6] * math.sin(actuators[e, 7] * length + actuators[e, 8])
+        f = min(max(f, actuators[e, 9]), actuators[e, 10])
         for j in range(nv):
-            force[j] += net.actuator_rows[e, j] * f
-    if net.law_addresses.size:
-        base = net.law_constants.ctypes.data
-        for e in range(net.law_addresses.size):
-            x = -net.law_offsets[e]
-            rate = 0.0
-            for j in range(nv):
-                x += net.law_rows[e, j] * q[j]
-                rate += net.law_rows[e, j] * v[j]
-            f = call_law(net.law_addresses[e], x, rate, t, pointer_at(base + 8 * net.law_starts[e]))
-            for j in range(nv):
-                force[j] += net.law_rows[e, j] * f
-
-
-@numba.njit(cache=True, nogil=True, inline="always")
-def _add_friction(net, v, acceleration, friction_force):  # type: ignore[no-untyped-def]
-    """Solve min 1/2 f'(A + R) f + f'(a0 + B v), |f_i| <= F_i by Gauss-Seidel, in place."""
-    rows = net.friction.shape[0]
-    nv = v.size
-    for e in range(rows):
-        f = friction_force[e]
-        if f != 0.0:
-            for j in range(nv):
-                for k in range(nv):
-                    acceleration[j] += net.inverse_mass[j, k] * net.friction_rows[e, k] * f
-    for _sweep in range(200):
-        largest = 0.0
-        for e in range(rows):
-            slip = 0.0
-            gradient = 0.0
-            diagonal = net.friction[e, 1]
-            for j in range(nv):
-                slip += net.friction_rows[e, j] * v[j]
-                gradient += net.friction_rows[e, j] * acceleration[j]
-                for k in range(nv):
-                    diagonal += (
-                        net.friction_rows[e, j] * net.inverse_mass[j, k] * net.friction_rows[e, k]
-                    )
-            old = friction_force[e]
-            gradient += net.friction[e, 1] * old + net.friction[e, 2] * slip
-            new = min(max(old - gradient / diagonal, -net.friction[e, 0]), net.friction[e, 0])
-            change = new - old
-            if change != 0.0:
-                friction_force[e] = new
-                for j in range(nv):
-                    for k in range(nv):
-                        acceleration[j] += net.inverse_mass[j, k] * net.friction_rows[e, k] * change
-            largest = max(largest, abs(change) / (net.friction[e, 0] + 1e-300))
-        if largest < 1e-13 or rows == 1:
-            break
-
-
-@numba.njit(cache=True, nogil=True)
-def accelerate(net, q, v, act, u, t, force, acceleration, act_rate, friction_force):  # type: ignore[no-untyped-def]
-    """Write qdd (nv,) and d(act)/dt (na,) of a network at a state, in place."""
-    _forces(net, q, v, act, u, t, force)
-    nv = q.size
+            force[j] += actuator_rows[e, j] * f
+    for e in range(law_addresses.size):
+        z = -law_offsets[e]
+        speed = 0.0
+        for j in range(nv):
+            z += law_rows[e, j] * x[j]
+            speed += law_rows[e, j] * x[nv + j]
+        constants = pointer_at(law_constants.ctypes.data + 8 * law_starts[e])
+        f = call_law(law_addresses[e], z, speed, t, constants)
+        for j in range(nv):
+            force[j] += law_rows[e, j] * f
     for i in range(nv):
         total = 0.0
         for j in range(nv):
-            total += net.inverse_mass[i, j] * force[j]
-        acceleration[i] = total
-    if net.friction.shape[0]:
-        _add_friction(net, v, acceleration, friction_force)
-    for e in range(net.actuators.shape[0]):
-        a = net.actuators[e]
-        if a[14] >= 0:
-            k = int(a[14])
-            command = min(max(u[int(a[15])], a[11]), a[12])
-            act_rate[k] = (command - act[k]) / a[13] if a[13] > 0 else command
+            total += inverse_mass[i, j] * force[j]
+        rate[i] = x[nv + i]
+        rate[nv + i] = total
+    _add_friction(inverse_mass, friction_rows, friction, diagonals, x, rate, friction_force)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _add_friction(inverse_mass, friction_rows, friction, diagonals, x, rate, friction_force):  # type: ignore[no-untyped-def]
+    """Solve min 1/2 f'(A + R) f + f'(a0 + B v), |f_i| <= F_i by Gauss-Seidel, in place."""
+    nv = inverse_mass.shape[0]
+    rows = friction.shape[0]
+    for e in range(rows):
+        for j in range(nv):
+            for k in range(nv):
+                rate[nv + j] += inverse_mass[j, k] * friction_rows[e, k] * friction_force[e]
+    for _sweep in range(200 if rows else 0):
+        largest = 0.0
+        for e in range(rows):
+            gradient = friction[e, 1] * friction_force[e]
+            for j in range(nv):
+                gradient += friction_rows[e, j] * (rate[nv + j] + friction[e, 2] * x[nv + j])
+            new = friction_force[e] - gradient / (diagonals[e] + friction[e, 1])
+            new = min(max(new, -friction[e, 0]), friction[e, 0])
+            change = new - friction_force[e]
+            friction_force[e] = new
+            for j in range(nv):
+                for k in range(nv):
+                    rate[nv + j] += inverse_mass[j, k] * friction_rows[e, k] * change
+            largest = max(largest, abs(change) / (friction[e, 0] + 1e-300))
+        if rows == 1 or largest < 1e-13:
+            break
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def accelerate(net, x, controls, row, t, rate):  # type: ignore[no-untyped-def]
+    """Write d(state)/dt (2 nv + na,) of a network at a state ``x`` into ``rate``."""
+    (inverse_mass, spring_rows, springs, damper_rows, dampers, gravity, swings, actuator_rows,
+     actuators, friction_rows, friction, diagonals, law_rows, law_offsets, law_addresses, law_starts,
+     law_constants) = net
+    _accelerate(inverse_mass, spring_rows, springs, damper_rows, dampers, gravity, swings,
+                actuator_rows, actuators, friction_rows, friction, diagonals, law_rows, law_offsets,
+                law_addresses, law_starts, law_constants, x, controls, row, t, rate,
+                np.zeros(inverse_mass.shape[0]), np.zeros(friction.shape[0]))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def integrate(net, initial, controls, starts, samples, substeps, h, states, accelerations):  # type: ignore[no-untyped-def]
     """Integrate windows with the classical fourth-order Runge-Kutta method.
 
@@ -193,47 +190,50 @@ def integrate(net, initial, controls, starts, samples, substeps, h, states, acce
     states : (w, samples, 2 nv + na), accelerations : (w, samples, nv)
         Written; the rest of a window that diverges is NaN.
     """
-    nv = net.inverse_mass.shape[0]
+    (inverse_mass, spring_rows, springs, damper_rows, dampers, gravity, swings, actuator_rows,
+     actuators, friction_rows, friction, diagonals, law_rows, law_offsets, law_addresses, law_starts,
+     law_constants) = net
+    nv = inverse_mass.shape[0]
     n = initial.shape[1]
-    na = n - 2 * nv
     force = np.zeros(nv)
     rate = np.zeros(n)
     total = np.zeros(n)
     stage = np.zeros(n)
-    qdd = np.zeros(nv)
-    act_rate = np.zeros(max(na, 1))
-    friction_force = np.zeros(net.friction.shape[0])
+    x = np.zeros(n)
+    friction_force = np.zeros(friction.shape[0])
     for w in range(initial.shape[0]):
-        x = initial[w].copy()
+        for i in range(n):
+            x[i] = initial[w, i]
         friction_force[:] = 0.0
         for k in range(samples):
             step = (starts[w] + k) * substeps
-            states[w, k] = x
+            wild = False
+            for i in range(n):
+                states[w, k, i] = x[i]
+                wild = wild or not abs(x[i]) < 1e9
+            if wild:
+                states[w, k:] = np.nan
+                accelerations[w, k:] = np.nan
+                break
             for s in range(substeps):
-                u = controls[min(step + s, controls.shape[0] - 1)]
+                row = min(step + s, controls.shape[0] - 1)
                 t = (step + s) * h
                 for r in range(4):
                     c = 0.0 if r == 0 else (h if r == 3 else 0.5 * h)
                     for i in range(n):
                         stage[i] = x[i] + c * rate[i] if r else x[i]
-                    accelerate(net, stage[:nv], stage[nv : 2 * nv], stage[2 * nv :], u, t + c,
-                               force, qdd, act_rate, friction_force)
+                    _accelerate(inverse_mass, spring_rows, springs, damper_rows, dampers, gravity,
+                                swings, actuator_rows, actuators, friction_rows, friction, diagonals,
+                                law_rows, law_offsets, law_addresses, law_starts, law_constants,
+                                stage, controls, row, t + c, rate, force, friction_force)
                     if r == 0 and s == 0:
-                        accelerations[w, k] = qdd
-                    for i in range(nv):
-                        rate[i] = stage[nv + i]
-                        rate[nv + i] = qdd[i]
-                    for i in range(na):
-                        rate[2 * nv + i] = act_rate[i]
+                        for i in range(nv):
+                            accelerations[w, k, i] = rate[nv + i]
                     weight = 1.0 if r == 0 or r == 3 else 2.0
                     for i in range(n):
                         total[i] = (total[i] if r else 0.0) + weight * rate[i]
                 for i in range(n):
                     x[i] += h / 6.0 * total[i]
-            if not np.isfinite(x).all() or np.abs(x).max() > 1e9:
-                states[w, k + 1 :] = np.nan
-                accelerations[w, k + 1 :] = np.nan
-                break
 
 
 def network_of(plant: Plant, data: mujoco.MjData) -> Network | None:
@@ -264,17 +264,21 @@ def network_of(plant: Plant, data: mujoco.MjData) -> Network | None:
     friction = _friction(model, data)
     if actuators is None or friction is None:
         return None
+    inverse = np.linalg.inv(mass)
+    gravity = _gravity(model, data)
     laws = plant.elements
     lengths = [e.constants.size for e in laws]
     return Network(
-        np.linalg.inv(mass),
+        inverse,
         spring_rows,
         springs,
         damper_rows,
         dampers,
-        _gravity(model, data),
+        gravity,
+        np.flatnonzero(np.any(gravity[:, 1:].reshape(model.nv, 2, model.nv), axis=(0, 1))),
         *actuators,
         *friction,
+        np.einsum("ej,jk,ek->e", friction[0], inverse, friction[0]),
         np.array([e.row for e in laws]).reshape(len(laws), model.nv),
         np.array([e.offset for e in laws], dtype=float),
         np.array([e.address for e in laws], dtype=np.int64),
@@ -462,13 +466,12 @@ def agrees(plant: Plant, network: Network, data: mujoco.MjData, rng: np.random.G
         mujoco.mj_forward(model, data)
         if data.ncon or np.any(data.efc_type[: data.nefc] > FRICTION_TENDON):
             return False
-        qdd, rate = np.zeros(nv), np.zeros(max(na, 1))
-        accelerate(network, q, v, act, u, 0.0, np.zeros(nv), qdd, rate,
-                   np.zeros(network.friction.shape[0]))
-        worst = max(worst, float(np.abs(qdd - data.qacc).max()))
+        rate = np.zeros(2 * nv + na)
+        accelerate(network, np.concatenate([q, v, act]), u[None], 0, 0.0, rate)
+        worst = max(worst, float(np.abs(rate[nv : 2 * nv] - data.qacc).max()))
         largest = max(largest, float(np.abs(data.qacc).max()))
         if na:
-            worst = max(worst, float(np.abs(rate[:na] - data.act_dot).max()))
+            worst = max(worst, float(np.abs(rate[2 * nv :] - data.act_dot).max()))
             largest = max(largest, float(np.abs(data.act_dot).max()))
     return worst <= 1e-9 * largest
 
