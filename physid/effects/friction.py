@@ -9,13 +9,15 @@ import mujoco
 import numpy as np
 
 from physid.effects.native import add_passive_force, edit_entry
-from physid.plant.effect import Coefficient, Effect, Element, Scales, Trial, spec_element
+from physid.plant.effect import Coefficient, Effect, Element, Placed, Scales, Trial, spec_element
 from physid.plant.law import force_law
 from physid.plant.parameter import element_id, sharpen_friction
 from physid.plant.structure import Place
 
 SMALL = 0.02
 """Size of a screened effect relative to the forces at its place: small enough to be linear."""
+UNEVEN = 0.1
+"""Smallest difference between the directions, relative to the mean, that is called asymmetric."""
 COULOMB = "Coulomb 1785; Olsson et al., Friction models and friction compensation, EJC 4 (1998)"
 
 
@@ -93,6 +95,15 @@ class AsymmetricFriction(Effect):
         add_friction_loss(spec, place, 0.5 * (forward + backward))
         add_passive_force(spec, place, self.name, -0.5 * (forward - backward), 0.0, 0.5 * np.pi)
 
+    def contains(self, inner: Placed) -> dict[str, float] | None:
+        if inner.effect.name != CoulombFriction.name:
+            return None
+        return {"force_positive": inner.values["force"], "force_negative": inner.values["force"]}
+
+    def plausible(self, values: Mapping[str, float], scales: Scales) -> bool:
+        forward, backward = values["force_positive"], values["force_negative"]
+        return abs(forward - backward) > UNEVEN * 0.5 * (forward + backward)
+
     def trials(self, scales: Scales) -> Sequence[Trial]:
         size = SMALL * scales.force
         return (
@@ -132,7 +143,7 @@ class StribeckFriction(Effect):
             name="stribeck_velocity", unit="{v}", meaning="speed vs of the fall", lower=1e-6, shape=True
         ),
     )
-    speeds: ClassVar[tuple[float, ...]] = (0.05, 0.2, 0.6)
+    speeds: ClassVar[tuple[float, ...]] = (0.05, 0.15, 0.4)
 
     def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
         add_friction_loss(spec, place, values["force"])
@@ -162,6 +173,13 @@ class StribeckFriction(Effect):
             )
             for s in self.speeds
         )
+
+    def limits(self, scales: Scales) -> Mapping[str, tuple[float, float]]:
+        # A fall that stretches over all speeds is not Stribeck's: it imitates drag or damping.
+        return {"stribeck_velocity": (1e-3 * scales.speed, 0.5 * scales.speed)}
+
+    def plausible(self, values: Mapping[str, float], scales: Scales) -> bool:
+        return values["static_force"] > 1.05 * values["force"] > 0.0
 
     def start(self, trial: Trial, amplitudes: np.ndarray, scales: Scales) -> dict[str, float]:
         size = trial.columns[0]["force"]

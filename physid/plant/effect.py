@@ -125,6 +125,18 @@ class Effect(ABC):
     def trials(self, scales: Scales) -> Sequence[Trial]:
         """Return the shapes to screen."""
 
+    def limits(self, scales: Scales) -> Mapping[str, tuple[float, float]]:
+        """Return narrower bounds for some coefficients, from how large things are at the place."""
+        return {}
+
+    def plausible(self, values: Mapping[str, float], scales: Scales) -> bool:
+        """Say whether fitted values still are this effect, and not a shape that imitates another."""
+        return True
+
+    def contains(self, inner: Placed) -> dict[str, float] | None:
+        """Return this effect's values that equal another effect, or None if it does not contain it."""
+        return None
+
     def start(self, trial: Trial, amplitudes: np.ndarray, scales: Scales) -> dict[str, float]:
         """Turn a screened trial and its least-squares amplitudes into starting values."""
         return {

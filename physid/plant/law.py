@@ -35,7 +35,7 @@ def force_law(function: Callable[..., float]) -> Any:
     numba CFunc
         ``.address`` is what elements carry; the compiled code is kept between runs.
     """
-    return numba.cfunc(LAW_SIGNATURE, cache=True)(function)
+    return numba.cfunc(LAW_SIGNATURE, cache=True, error_model="numpy")(function)
 
 
 @intrinsic

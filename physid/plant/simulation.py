@@ -13,6 +13,7 @@ from typing import Literal, NamedTuple
 
 import mujoco
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from physid.plant.engine import simulate_engine
 from physid.plant.callback import run_time_laws
@@ -20,7 +21,7 @@ from physid.plant.model import Model, Plant
 from physid.plant.network import agrees, integrate, network_of
 from physid.plant.structure import Structure
 
-Hold = Literal["zero", "first"]
+Hold = Literal["zero", "first", "smooth"]
 _LINEAR_SENSORS = (
     int(mujoco.mjtSensor.mjSENS_JOINTPOS),
     int(mujoco.mjtSensor.mjSENS_JOINTVEL),
@@ -67,8 +68,8 @@ class Simulator:
         Sampling interval of the record [s].
     substeps : int
         RK4 steps per sample.
-    hold : {"zero", "first"}
-        The input between samples: held, or joined by straight lines.
+    hold : {"zero", "first", "smooth"}
+        The input between samples: held, joined by straight lines, or by a cubic spline.
     compiled : bool
         Whether the network may be used.
     sensor_map : ndarray (channels, 1 + 3 nv) or None
@@ -100,14 +101,7 @@ class Simulator:
 
     def controls(self, plant: Plant, inputs: np.ndarray) -> np.ndarray:
         """Turn a record's inputs (n, nu) into the input of every substep (n * substeps, nu)."""
-        n = len(inputs)
-        if self.hold == "zero" or n < 2:
-            fine = np.repeat(inputs, self.substeps, axis=0)
-        else:
-            middle = (np.arange(n * self.substeps) + 0.5) / self.substeps
-            fine = np.column_stack(
-                [np.interp(middle, np.arange(n), column) for column in inputs.T]
-            ).reshape(-1, inputs.shape[1])
+        fine = between_samples(inputs, self.substeps, self.hold)
         for k, placed in plant.conditioners:
             fine[:, k] = placed.effect.condition(fine[:, k], placed.values)
         for k in np.flatnonzero(plant.delays):
@@ -194,6 +188,18 @@ class Simulator:
         if np.any(self.sensor_map[:, 1 + 2 * nv :]):
             outputs += accelerations @ self.sensor_map[:, 1 + 2 * nv :].T
         return np.asarray(outputs)
+
+
+def between_samples(inputs: np.ndarray, substeps: int, hold: Hold) -> np.ndarray:
+    """Return the input in the middle of every substep, (n * substeps, nu)."""
+    n = len(inputs)
+    if hold == "zero" or n < 4:
+        return np.repeat(inputs, substeps, axis=0)
+    middle = np.minimum((np.arange(n * substeps) + 0.5) / substeps, n - 1)
+    if hold == "smooth":
+        return np.asarray(CubicSpline(np.arange(n), inputs, axis=0)(middle))
+    joined = [np.interp(middle, np.arange(n), column) for column in inputs.T]
+    return np.column_stack(joined) if joined else np.zeros((n * substeps, 0))
 
 
 def delayed(u: np.ndarray, steps: float) -> np.ndarray:

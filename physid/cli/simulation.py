@@ -1,0 +1,117 @@
+"""``physid simulate``: a run of the model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+import physid
+from physid.cli.delivery import deliver, working
+from physid.cli.ending import OK
+from physid.cli.options import ADD, HOLD, MODEL, Output, checked_hold, grouped
+from physid.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from physid.record import Record
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Simulation:
+    """A simulated record in the shape of a result."""
+
+    record: Record
+    model: Path
+
+    @property
+    def curves(self) -> dict[str, Any]:
+        """Nothing beside the record itself."""
+        return {}
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what was simulated: its size and the range of every column."""
+        record = self.record
+        return {
+            "schema": "physid.simulation/1",
+            "model": str(self.model),
+            "record": "record.csv",
+            "samples": record.samples,
+            "timestep": record.dt,
+            "duration": record.duration,
+            "columns": [self._range(name) for name in record.columns],
+            "notes": list(record.notes),
+        }
+
+    def _range(self, name: str) -> dict[str, Any]:
+        values = self.record.column(name)
+        return {
+            "name": name,
+            "minimum": float(values.min()),
+            "maximum": float(values.max()),
+            "rms": float((values**2).mean() ** 0.5),
+        }
+
+
+@grouped
+def simulate(
+    model: Annotated[Path, MODEL],
+    output: Output,
+    record: Annotated[
+        Path | None,
+        typer.Option("--input", metavar="RECORD", help="Run with the inputs of this record."),
+    ] = None,
+    excite: Annotated[
+        str | None,
+        typer.Option(
+            "--excite",
+            metavar="SPEC",
+            help="Run with a signal, such as mseq:stages=9,clock=0.01,amplitude=0.5.",
+        ),
+    ] = None,
+    add: Annotated[list[str] | None, ADD] = None,
+    hold: Annotated[str, HOLD] = "zero",
+) -> int:
+    """Run the model on a record's inputs or on a signal; --out gets record.csv."""
+    if (record is None) == (excite is None):
+        given = "neither was" if record is None else "both were"
+        raise InputError(
+            f"A simulation takes its input from --input RECORD or from --excite SPEC, and {given} "
+            "given: give one of them."
+        )
+    checked_hold(hold)
+    from physid.record import write_record
+
+    with working(output):
+        run = physid.simulate(
+            model, record, excite=excite, add=tuple(add or ()), hold=hold, seed=output.seed
+        )
+    deliver(
+        Simulation(record=run, model=model),
+        output,
+        extra={"record.csv": lambda file: write_record(run, file)},
+        printer=_print,
+    )
+    return OK
+
+
+def _print(content: Mapping[str, Any], console: Console) -> None:
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table("column", "minimum", "maximum", "rms", box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in content["columns"]:
+        numbers = (f"{column[key]:.6g}" for key in ("minimum", "maximum", "rms"))
+        table.add_row(Text(column["name"]), *numbers)
+    duration, samples = content["duration"], content["samples"]
+    console.print(Text(f"Simulated {duration:g} s in {samples} samples (SI units, rad)."), table)
+    for note in content["notes"]:
+        console.print(Text(f"note {note}"))
+
+
+COMMANDS = {"simulate": simulate}

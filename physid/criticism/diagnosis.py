@@ -1,0 +1,386 @@
+"""Diagnosis: which physical effect is missing, where, with evidence, or that none is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import zip_longest
+from typing import Literal
+
+import numpy as np
+
+from physid.criticism.evidence import (
+    HORIZONS,
+    Base,
+    Judgement,
+    Refit,
+    Start,
+    choosing_spans,
+    colour,
+    judge,
+    judging_spans,
+    nrmse,
+    refit,
+    start_of,
+    with_block,
+)
+from physid.criticism.screening import Scored, possible_candidates, screen, shortlist
+from physid.effects.catalogue import CATALOGUE
+from physid.identification.output_error import Estimate, Problem
+from physid.errors import NumericsError
+from physid.identification.staged import ENOUGH, Spans, fit_windows, thinned, windowed
+from physid.identification.study import Options, Study
+from physid.plant.effect import Effect, Placed, Scales
+from physid.plant.structure import Place
+
+Verdict = Literal["effect_missing", "nothing_missing", "unexplained"]
+REFITS = 6
+"""Candidates refitted from each of the two screenings."""
+TRIALS = 2
+"""Shapes of each that are started from."""
+MOST_STARTS = 3
+"""Starts of one candidate, over all screenings."""
+PARTNERS = 3
+"""Best single effects that get a partner, and partners tried from each screening."""
+SHOWN = 6
+"""Candidates fitted on whole stretches and reported."""
+LEAST_GAIN = 12.0
+"""Smallest fall of the information criterion that is not chance."""
+LEAST_SHARE = 0.02
+"""Smallest share of the squares that a named effect removes."""
+CHANCE = 0.01
+"""Corrected p-value above which nothing is claimed."""
+NOISE_LIKE = 1.25
+"""A residual within this factor of the noise's variance is explained."""
+NAMED = 0.75
+"""Share of the excess error a single effect or a pair must remove to be named."""
+WELL_NAMED = 0.95
+"""... beyond which no pair is looked for."""
+TOLD_APART = 10.0
+"""Difference of the information criterion below which two candidates are not told apart."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Candidate:
+    """A candidate explanation with its evidence.
+
+    ``score`` is the information criterion relative to the base model, less being better; ``explained`` the share of
+    the excess error that it removes; ``p_value`` is corrected for the number tried.
+    """
+
+    refit: Refit
+    score: float
+    explained: float
+    p_value: float
+    judgement: Judgement
+    alike: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Diagnosis:
+    """The outcome of a diagnosis on windows.
+
+    ``base`` is the base model on the choosing data; candidates come best first.
+    """
+
+    verdict: Verdict
+    sentence: str
+    base: Base
+    candidates: tuple[Candidate, ...]
+    tried: int
+    noise_ratio: float
+    notes: tuple[str, ...] = field(default=())
+
+
+def diagnose_study(study: Study, *, span: tuple[float, float] = (0.3, 0.95)) -> Diagnosis:
+    """Find what is missing in a study's model.
+
+    Parameters
+    ----------
+    study : Study
+        Near its minimum on windows.
+    span : (float, float)
+        Share of the progress bar this takes.
+
+    Returns
+    -------
+    Diagnosis
+    """
+    options = study.options
+    _report(options, span, "fitting the model as it stands", 0.0)
+    base = base_of(study)
+    judging = {h: _windows(study, h, judging_spans) for h in base.fits}
+    candidates = possible_candidates(study.problem)
+    _report(options, span, f"screening {len(candidates)} candidates", 0.1)
+    inner = base.problems["long"]
+    fits = []
+    groups = _screened(base.problems, base.fits, candidates, REFITS, TRIALS)
+    for k, group in enumerate(groups):
+        _report(options, span, f"refitting {group[0].effect.name}", 0.2 + 0.4 * k / max(len(groups), 1))
+        found = refit(base, inner, _starts(group), group[0].scales, rank=k)
+        if found is not None:
+            fits.append(found)
+    scales = {g[0].place: g[0].scales for g in groups}
+    fits = _best_with_blocks(base, _with_siblings(base, fits, scales))
+    if fits and _explained(base, fits[0]) < WELL_NAMED:
+        _report(options, span, "trying pairs", 0.65)
+        fits = _best_with_blocks(base, [*fits, *_pairs(base, fits, candidates)])
+    _report(options, span, "judging on data not used for the choice", 0.9)
+    ranked = _ranked(base, judging, fits, max(len(candidates), 1))
+    verdict, sentence = _verdict(study, base, ranked)
+    _report(options, span, "diagnosed", 1.0)
+    long = base.fits["long"].squares / base.problems["long"].measurements()
+    return Diagnosis(
+        verdict=verdict, sentence=sentence, base=base, candidates=tuple(ranked), tried=len(candidates),
+        noise_ratio=long,
+    )
+
+
+def _starts(group: Sequence[Scored]) -> list[Start]:
+    return [Start(s.start, s.theta) for s in group]
+
+
+def _windows(study: Study, horizon: str, spans: Spans) -> Problem:
+    problem = windowed(study.problem, HORIZONS[horizon], spans)
+    return thinned(problem, ENOUGH) if horizon == "short" else problem
+
+
+def base_of(study: Study) -> Base:
+    """Fit the base model on the choosing data at every horizon it can be simulated over."""
+    problems = {h: _windows(study, h, choosing_spans) for h in HORIZONS}
+    long = fit_windows(problems["long"], study.theta)
+    fits = {"short": fit_windows(problems["short"], long.theta), "long": long}
+    again = fit_windows(problems["long"], fits["short"].theta)
+    if again.chi2 < long.chi2:
+        fits["long"] = again
+    try:
+        block = fit_windows(problems["block"], fits["long"].theta)
+        if float(np.max(nrmse(problems["block"], block))) < 1.0:
+            fits["block"] = block
+    except NumericsError:
+        pass
+    return Base(problems=problems, fits=fits)
+
+
+def _report(options: Options, span: tuple[float, float], stage: str, share: float) -> None:
+    options.report(stage, span[0] + (span[1] - span[0]) * share)
+
+
+def _screened(problems: dict[str, Problem], fits: dict[str, Estimate],
+              candidates: Sequence[tuple[Effect, Place]], most: int, per_effect: int) -> list[list[Scored]]:
+    """Screen at every horizon and join the shortlists, alternating."""
+    groups: dict[tuple[str, Place], list[Scored]] = {}
+    lists = [
+        shortlist(screen(problems[h], fits[h], candidates), most, per_effect) for h in fits
+    ]
+    for pair in zip_longest(*lists):
+        for group in pair:
+            if group is None:
+                continue
+            known = groups.setdefault((group[0].effect.name, group[0].place), [])
+            known += [s for s in group if not any(_same_start(s, k) for k in known)]
+    return [group[:MOST_STARTS] for group in groups.values()]
+
+
+def _same_start(one: Scored, other: Scored) -> bool:
+    """Say whether two starts differ by less than a fifth in every coefficient."""
+    return all(
+        abs(v - other.start.values[k]) <= 0.2 * max(abs(v), abs(other.start.values[k]))
+        for k, v in one.start.values.items()
+    )
+
+
+def _with_siblings(base: Base, fits: list[Refit], scales: dict[Place, Scales]) -> list[Refit]:
+    """Start effects that contain the best one from its fit as well: they can only be as good or better."""
+    if not fits:
+        return fits
+    best = min(fits, key=lambda f: _score(base, f, ("short", "long")))
+    inner = best.fitted[0]
+    out = list(fits)
+    for effect in CATALOGUE:
+        values = effect.contains(inner) if inner.place.kind in effect.kinds else None
+        if values is None:
+            continue
+        placed = Placed(effect, inner.place, values)
+        start = Start(placed, start_of(best.problem, best.fits["long"].theta, base.problems["long"]))
+        found = refit(base, base.problems["long"], [start], scales[inner.place], rank=best.rank)
+        if found is not None:
+            same = [f for f in out if f.sites() == found.sites()]
+            if not same or _score(base, found, ("short", "long")) < _score(base, same[0], ("short", "long")):
+                out = [f for f in out if f.sites() != found.sites()] + [found]
+    return out
+
+
+def _best_with_blocks(base: Base, fits: Sequence[Refit]) -> list[Refit]:
+    """Keep the best candidates on windows, fit those on whole stretches, and sort them all."""
+    horizons = ("short", "long")
+    promising = sorted(fits, key=lambda f: _score(base, f, horizons))[:SHOWN]
+    done = [f if "block" in f.fits else with_block(base, f) for f in promising]
+    return sorted(done, key=lambda f: _score(base, f, tuple(base.fits)))
+
+
+def _score(base: Base, fit: Refit, horizons: Sequence[str]) -> float:
+    """Return the mean over horizons of n_eff log(squares after / before), plus extra log n_eff.
+
+    It is Bayes' information criterion (Schwarz, Ann. Stat. 6, 1978) with n over the residual's
+    correlation time for the number of samples.
+    """
+    total = 0.0
+    sizes = []
+    for horizon in horizons:
+        size = effective_samples(base, fit, horizon)
+        sizes.append(size)
+        total += size * np.log(max(fit.ratio(base, horizon), 1e-12))
+    return float(total / len(horizons) + fit.extra * np.log(max(np.mean(sizes), 2.0)))
+
+
+def effective_samples(base: Base, fit: Refit, horizon: str) -> float:
+    """Return the number of independent samples in a candidate's residual at a horizon."""
+    problem = base.problems[horizon]
+    return problem.measurements() / colour(problem, fit.fits[horizon])
+
+
+def _explained(base: Base, fit: Refit) -> float:
+    """Return the share of the base's excess squares that a candidate removes, at its best long horizon."""
+    return max(_removed(base, fit, h) for h in fit.fits if h != "short")
+
+
+def _removed(base: Base, fit: Refit, horizon: str) -> float:
+    before, after = base.fits[horizon].squares, fit.fits[horizon].squares
+    floor = min(float(base.problems[horizon].measurements()), after)
+    return float((before - after) / max(before - floor, 1e-300)) if after < before else 0.0
+
+
+def _different(fits: Sequence[Refit]) -> list[Refit]:
+    """Leave out singles that contain, or are contained in, a better one at the same place."""
+    kept: list[Refit] = []
+    for fit in fits:
+        own = fit.added[0]
+        if not any(
+            o.added[0].place == own.place
+            and (o.added[0].effect.name in own.effect.supersedes or own.effect.name in o.added[0].effect.supersedes)
+            for o in kept
+        ):
+            kept.append(fit)
+    return kept
+
+
+def _pairs(base: Base, fits: Sequence[Refit], candidates: Sequence[tuple[Effect, Place]]) -> list[Refit]:
+    """Try a second effect beside each of the best singles; keep a pair that halves what remains."""
+    found: list[Refit] = []
+    wanted = list(candidates)
+    for single in _different(fits)[:PARTNERS]:
+        problems = {h: single.problem.with_windows(base.problems[h].windows) for h in single.fits}
+        rest = [
+            (effect, place) for effect, place in possible_candidates(problems["long"])
+            if (effect, place) in wanted
+            and not any(a.effect.name in effect.supersedes and a.place == place for a in single.added)
+        ]
+        for group in _screened(problems, single.fits, rest, PARTNERS, 1):
+            pair = refit(base, problems["long"], _starts(group), group[0].scales, rank=single.rank,
+                         already=single.added)
+            if pair is None:
+                continue
+            pair = with_block(base, pair)
+            if any(frozenset(f.sites()) == frozenset(pair.sites()) for f in found):
+                continue
+            if any(_halves(base, single, pair, h) for h in base.fits):
+                found.append(_ordered(base, pair, fits))
+    return found
+
+
+def _halves(base: Base, single: Refit, pair: Refit, horizon: str) -> bool:
+    floor = min(float(base.problems[horizon].measurements()), pair.fits[horizon].squares)
+    return pair.fits[horizon].squares - floor < 0.5 * (single.fits[horizon].squares - floor)
+
+
+def _ordered(base: Base, pair: Refit, singles: Sequence[Refit]) -> Refit:
+    """Put the effect first that does more for whole stretches by itself."""
+    horizon = "block" if "block" in base.fits else "long"
+    alone = {f.sites()[0]: f.fits[horizon].squares for f in singles if len(f.added) == 1 and horizon in f.fits}
+    worst = base.fits[horizon].squares
+    order = sorted(range(len(pair.added)), key=lambda k: alone.get(pair.sites()[k], worst))
+    return replace(pair, added=tuple(pair.added[k] for k in order))
+
+
+def _ranked(base: Base, judging: dict[str, Problem], fits: Sequence[Refit], tried: int) -> list[Candidate]:
+    out = []
+    for fit in fits:
+        judgement = judge(judging, base, fit)
+        attempts = tried if len(fit.added) == 1 else tried * (tried - 1) // 2
+        out.append(
+            Candidate(
+                refit=fit, score=_score(base, fit, tuple(base.fits)), explained=_explained(base, fit),
+                p_value=min(1.0, judgement.p_value * max(attempts, 1)), judgement=judgement,
+            )
+        )
+    return [replace(c, alike=_alike(out, k)) for k, c in enumerate(out)]
+
+
+def _alike(candidates: Sequence[Candidate], k: int) -> tuple[int, ...]:
+    own = candidates[k]
+    return tuple(
+        i for i, other in enumerate(candidates)
+        if i != k and abs(other.score - own.score) < TOLD_APART
+        and not set(own.refit.sites()) < set(other.refit.sites())
+    )
+
+
+def _verdict(study: Study, base: Base, ranked: Sequence[Candidate]) -> tuple[Verdict, str]:
+    ratio = base.fits["long"].squares / base.problems["long"].measurements()
+    if ranked and _real(base, ranked[0]):
+        best = ranked[0]
+        after = best.refit.fits["long"].squares / base.problems["long"].measurements()
+        if best.explained >= NAMED or after < NOISE_LIKE:
+            return "effect_missing", _missing_sentence(study, best)
+        return "unexplained", (
+            "Something is missing that no effect of the catalogue explains: the best candidate, "
+            f"{describe(best.refit)}, removes {100 * best.explained:.0f} % of the excess error."
+        )
+    if ratio < NOISE_LIKE:
+        return "nothing_missing", (
+            "Nothing is missing: the residual is within the measurement noise and no effect of the "
+            "catalogue earns a place."
+        )
+    if not _grows(base):
+        return "nothing_missing", (
+            "Nothing is missing: the residual looks like coloured measurement noise and no effect of "
+            "the catalogue earns a place."
+        )
+    return "unexplained", (
+        "Something is missing that no effect of the catalogue explains: the residual is "
+        f"{np.sqrt(ratio):.1f} times the measurement noise and no candidate removes it."
+    )
+
+
+def _real(base: Base, best: Candidate) -> bool:
+    """Say whether the best candidate is more than chance: large enough, significant, and holding up."""
+    share = 1.0 - min(best.refit.ratio(base, h) for h in best.refit.fits)
+    held = 1.0 - best.judgement.squares_after / max(best.judgement.squares_before, 1e-300)
+    return (
+        best.score < -LEAST_GAIN and share > LEAST_SHARE and best.p_value < CHANCE and held > 0.0
+    )
+
+
+def _grows(base: Base) -> bool:
+    """Say whether the residual grows with the simulated horizon, as model error does and noise not."""
+    mean = {h: base.fits[h].squares / base.problems[h].measurements() for h in base.fits}
+    return bool(max(mean.values()) > 1.3 * mean["short"])
+
+
+def describe(fit: Refit) -> str:
+    """Write a candidate as ``Coulomb friction at load``, pairs joined by ``and``."""
+    return " and ".join(f"{name.replace('_', ' ')} at {place}" for name, place in fit.sites())
+
+
+def _missing_sentence(study: Study, best: Candidate) -> str:
+    channels = [study.model.structure.channels[k].name for k in study.experiments[0].channels]
+    worst = int(np.argmax(best.judgement.before))
+    p = "p < 1e-9" if best.p_value < 1e-9 else f"p = {best.p_value:.2g}"
+    what = describe(best.refit)
+    verb = "is" if len(best.refit.added) == 1 else "are"
+    return (
+        f"{what[0].upper()}{what[1:]} {verb} missing ({p}): on data not used for the choice the error of "
+        f"{channels[worst]} falls from {100 * best.judgement.before[worst]:.2g} % to "
+        f"{100 * best.judgement.after[worst]:.2g} %."
+    )

@@ -1,0 +1,291 @@
+"""Screening: which effects could explain the residual, judged by the score of a simulation.
+
+For every effect, place and shape one small change of the model is simulated along the record's
+windows; what initial states and the model's own parameters can explain is projected out; the share
+of the residual along what is left is the candidate's score (Rao's score test, 1948, in the form of
+Breusch, Pagan 1980).  Nothing is differentiated and no candidate is fitted yet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+
+from physid.effects.catalogue import CATALOGUE, places_of
+from physid.errors import ModelError
+from physid.identification.output_error import (
+    Estimate,
+    Linearisation,
+    Problem,
+    linearise,
+    residuals_of,
+    with_activations,
+)
+from physid.plant.callback import run_time_laws
+from physid.plant.effect import Effect, Placed, Scales, Trial
+from physid.plant.parameter import element_id
+from physid.plant.structure import Place, tendon_row
+
+PROBES = 400
+"""Instants at which forces are looked at to size the candidates."""
+MOST_SAMPLES = 12000
+"""Samples used for screening; more are thinned by leaving out windows."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scored:
+    """A candidate with its score.
+
+    ``gain`` is the fall of chi2 that the linearised effect would bring; ``start`` and ``theta`` (p,) where
+    its refit starts: the effect, and the model's own parameters moved to make room for it.
+    """
+
+    effect: Effect
+    place: Place
+    trial: Trial
+    gain: float
+    start: Placed
+    theta: np.ndarray
+    scales: Scales
+
+
+def possible_candidates(problem: Problem) -> list[tuple[Effect, Place]]:
+    """List every effect at every place it can sit, but for those the model already has free."""
+    model = problem.model
+    structure = model.structure
+    freed = {p.name for p in problem.parameters}
+    found = []
+    for effect in CATALOGUE:
+        for place in places_of(effect, model.nominal, structure):
+            own = f"{structure.label(place)}.{effect.contained_in}"
+            present = any(p.effect.name == effect.name and p.place == place for p in model.effects)
+            contained = any(
+                effect.name in p.effect.supersedes and p.place == place for p in model.effects
+            )
+            if not (own in freed or present or contained or _inertia_is_free(effect, place, problem)):
+                found.append((effect, place))
+    return found
+
+
+def _inertia_is_free(effect: Effect, place: Place, problem: Problem) -> bool:
+    """Say whether the joint's own body has a free inertia that is the same as an armature."""
+    if effect.contained_in != "armature":
+        return False
+    model = problem.model
+    joint = element_id(model.nominal, place)
+    body = model.nominal.body(int(model.nominal.jnt_bodyid[joint])).name
+    label = model.structure.label(Place("body", body))
+    slide = not model.structure.joint(place.name).hinge
+    names = {p.name for p in problem.parameters}
+    return f"{label}.inertia" in names or (slide and f"{label}.mass" in names)
+
+
+def scales_of(problem: Problem, estimate: Estimate) -> dict[Place, Scales]:
+    """Measure how large motion, force and input are at every place, along the fitted windows."""
+    model = problem.model
+    structure = model.structure
+    states, inputs = _visited(problem, estimate)
+    plant = problem.plant(estimate.theta, problem.windows[0].simulator.step)
+    data = mujoco.MjData(plant.model)
+    nv = structure.nv
+    acceleration, force = np.empty((len(states), nv)), np.empty((len(states), nv, 4))
+    mass = np.zeros((nv, nv))
+    with run_time_laws([plant]):
+        for i, (x, u) in enumerate(zip(states, inputs, strict=True)):
+            data.qpos[:] = x[: structure.nq]
+            data.qvel[:] = x[structure.nq : structure.nq + nv]
+            if plant.model.nu:
+                data.ctrl[:] = u
+            if plant.model.na:
+                data.act[:] = x[structure.nq + nv :]
+            mujoco.mj_forward(plant.model, data)
+            mujoco.mj_fullM(plant.model, data, mass)
+            acceleration[i] = data.qacc
+            force[i] = np.column_stack(
+                [mass @ data.qacc, data.qfrc_actuator, data.qfrc_passive, data.qfrc_bias]
+            )
+    size = np.sqrt(np.mean(force**2, axis=0)).max(axis=1)
+    size = np.maximum(size, 1e-3 * size.max() + 1e-300)
+    dt = problem.windows[0].experiment.dt
+    found: dict[Place, Scales] = {}
+    for joint in structure.joints:
+        rest = plant.model.qpos_spring[joint.qpos]
+        found[Place("joint", joint.name)] = _scales(
+            states[:, joint.qpos] - rest, states[:, structure.nq + joint.dof], acceleration[:, joint.dof],
+            float(size[joint.dof]), dt,
+        )
+    for place in structure.of_kind("tendon"):
+        i = element_id(plant.model, place)
+        row = tendon_row(plant.model, i)
+        if row is None or structure.nq != nv:
+            continue
+        length = states[:, :nv] @ row - plant.model.tendon_lengthspring[i].mean()
+        used = np.abs(row) > 0
+        found[place] = _scales(
+            length, states[:, nv : 2 * nv] @ row, acceleration @ row,
+            float(np.min(size[used] / np.abs(row[used]))), dt,
+        )
+    for k, name in enumerate(structure.inputs):
+        u = np.concatenate([w.experiment.inputs[:, k] for w in problem.windows])
+        place = Place("actuator", name)
+        if place in structure.places:
+            found[place] = _scales(u, u, u, 1.0, dt)
+    return found
+
+
+def _scales(x: np.ndarray, v: np.ndarray, a: np.ndarray, force: float, dt: float) -> Scales:
+    def rms(z: np.ndarray) -> float:
+        return float(np.sqrt(np.mean(z**2))) or 1e-12
+
+    return Scales(
+        position=rms(x), speed=rms(v), acceleration=rms(a), force=force,
+        travel=float(np.ptp(x)), largest=float(np.abs(x).max()) or 1e-12, dt=dt,
+    )
+
+
+def _visited(problem: Problem, estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
+    """Return some states (n, nx) of the fitted windows and the inputs at them (n, nu)."""
+    states, inputs = [], []
+    for e, windows in enumerate(problem.windows):
+        simulator, experiment = windows.simulator, windows.experiment
+        plant = problem.plant(estimate.theta, simulator.step)
+        controls = simulator.controls(plant, experiment.inputs)
+        initial = with_activations(plant, controls, estimate.states[e], windows.starts, simulator.substeps)
+        run = simulator.run([plant], [initial], experiment.inputs, windows.starts, windows.samples)[0]
+        flat = run.states.reshape(-1, run.states.shape[2])
+        rows = (windows.starts[:, None] + np.arange(windows.samples)).ravel()
+        good = np.flatnonzero(np.isfinite(flat).all(axis=1))
+        picked = good[:: max(1, len(good) // PROBES)]
+        states.append(flat[picked])
+        inputs.append(experiment.inputs[rows[picked]])
+    return np.concatenate(states), np.concatenate(inputs)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ground:
+    """The fitted model to which candidates are held: residual and everything it already explains."""
+
+    problem: Problem
+    estimate: Estimate
+    point: Linearisation
+    basis: np.ndarray
+    remaining: np.ndarray
+    scales: dict[Place, Scales]
+
+
+def ground_of(problem: Problem, estimate: Estimate) -> Ground:
+    """Linearise a fitted problem for screening."""
+    point = linearise(problem, estimate.theta, estimate.states, estimate.residuals)
+    basis = orthonormal(point.projected)
+    remaining = point.remaining - basis @ (basis.T @ point.remaining)
+    return Ground(
+        problem=problem, estimate=estimate, point=point, basis=basis, remaining=remaining,
+        scales=scales_of(problem, estimate),
+    )
+
+
+def orthonormal(columns: np.ndarray) -> np.ndarray:
+    """Return an orthonormal basis of the columns (m, p), those without length left out."""
+    norms = np.linalg.norm(columns, axis=0)
+    kept = columns[:, norms > 0] / norms[norms > 0]
+    if not kept.shape[1]:
+        return np.zeros((len(columns), 0))
+    u, s, _ = np.linalg.svd(kept, full_matrices=False)
+    return np.asarray(u[:, s > 1e-7 * s[0]])
+
+
+def thinned(problem: Problem, estimate: Estimate) -> tuple[Problem, Estimate]:
+    """Leave out windows until at most :data:`MOST_SAMPLES` samples remain."""
+    total = sum(len(w.starts) * w.samples for w in problem.windows)
+    stride = int(np.ceil(total / MOST_SAMPLES))
+    if stride <= 1:
+        return problem, estimate
+    picks = [np.arange(0, len(w.starts), stride) for w in problem.windows]
+    return (
+        problem.with_windows([w.take(p) for w, p in zip(problem.windows, picks, strict=True)]),
+        replace(
+            estimate,
+            states=[x[p] for x, p in zip(estimate.states, picks, strict=True)],
+            residuals=[r[p] for r, p in zip(estimate.residuals, picks, strict=True)],
+        ),
+    )
+
+
+def screen(problem: Problem, estimate: Estimate, candidates: Sequence[tuple[Effect, Place]]) -> list[Scored]:
+    """Score every candidate; best first.
+
+    Parameters
+    ----------
+    problem : Problem
+        The base model on windows.
+    estimate : Estimate
+        Its fit there.
+    candidates : sequence of (Effect, Place)
+    """
+    ground = ground_of(*thinned(problem, estimate))
+    found = []
+    for effect, place in candidates:
+        scales = ground.scales.get(place)
+        if scales is None:
+            continue
+        for trial in effect.trials(scales):
+            scored = _score(ground, effect, place, trial, scales)
+            if scored is not None:
+                found.append(scored)
+    return sorted(found, key=lambda s: -s.gain)
+
+
+def _score(ground: Ground, effect: Effect, place: Place, trial: Trial, scales: Scales) -> Scored | None:
+    directions = []
+    base = ground.estimate.residuals
+    for values in trial.columns:
+        changed = replace(ground.problem, model=ground.problem.model.with_effect(Placed(effect, place, values)))
+        try:
+            run = residuals_of(changed, [ground.estimate.theta], [ground.estimate.states])[0]
+        except ModelError:
+            return None
+        directions.append(
+            ground.point.without_states([b - r for b, r in zip(base, run, strict=True)])
+        )
+    block = np.column_stack(directions)
+    if not np.isfinite(block).all():
+        return None
+    rest = block - ground.basis @ (ground.basis.T @ block)
+    sizes = np.linalg.norm(rest, axis=0)
+    if not np.all(sizes > 1e-9):
+        return None
+    amplitudes = np.linalg.lstsq(rest / sizes, ground.remaining, rcond=1e-6)[0] / sizes
+    explained = rest @ amplitudes
+    return Scored(
+        effect=effect,
+        place=place,
+        trial=trial,
+        gain=float(2 * explained @ ground.remaining - explained @ explained),
+        start=Placed(effect, place, effect.start(trial, amplitudes, scales)),
+        theta=_making_room(ground, block @ amplitudes),
+        scales=scales,
+    )
+
+
+def _making_room(ground: Ground, response: np.ndarray) -> np.ndarray:
+    """Return the model's parameters (p,) moved as a linear fit would once the effect responds so."""
+    columns, theta = ground.point.projected, ground.estimate.theta
+    if not len(theta):
+        return theta
+    sizes = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    change = np.linalg.lstsq(columns / sizes, ground.point.remaining - response, rcond=1e-6)[0] / sizes
+    parameters = ground.problem.parameters
+    reach = np.array([0.7 * max(abs(t), p.scale) for p, t in zip(parameters, theta, strict=True)])
+    moved = theta + np.clip(change, -reach, reach)
+    return np.clip(moved, [p.lower for p in parameters], [p.upper for p in parameters])
+
+
+def shortlist(scored: Sequence[Scored], most: int, per_effect: int = 2) -> list[list[Scored]]:
+    """Group the best trials by effect and place: at most ``most`` groups of ``per_effect`` trials."""
+    groups: dict[tuple[str, Place], list[Scored]] = {}
+    for s in scored:
+        groups.setdefault((s.effect.name, s.place), []).append(s)
+    return [group[:per_effect] for group in list(groups.values())[:most]]

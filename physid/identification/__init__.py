@@ -1,0 +1,1 @@
+"""physid.identification"""

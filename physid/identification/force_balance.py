@@ -1,0 +1,243 @@
+"""The force balance: which joint's equation of motion does not close, and linear estimates from it.
+
+Positions are smoothed by a Gaussian and its derivatives; the engine's inverse dynamics gives the
+force each joint needs; what the actuators give is subtracted (inverse-dynamics identification:
+Gautier, Khalil, Direct calculation of minimum set of inertial parameters, IEEE TRA 6, 1990; the input
+is filtered alike, as in Janot, Vandanjon, Gautier, IEEE TCST 22, 2014).  Needs every joint's position
+measured.  Several widths are tried; noise in the regressors biases narrow ones, wide ones smear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.optimize import lsq_linear
+
+from physid.identification.experiment import Experiment, kinematics_of, period_of
+from physid.identification.output_error import parameter_steps
+from physid.plant.callback import run_time_laws
+from physid.plant.model import Model, Plant
+from physid.plant.parameter import Parameter
+from physid.plant.simulation import Hold, between_samples, delayed
+
+POINTS = 1200
+"""Most instants used per record."""
+NUMBER_OF_WIDTHS = 6
+"""Smoothing widths tried, from two samples to a 25th of the motion's period."""
+
+
+def widths(experiments: Sequence[Experiment]) -> np.ndarray:
+    """Return the smoothing widths to try, geometrically spaced [s]."""
+    least = 2.0 * min(e.dt for e in experiments)
+    most = max(min(period_of(e) for e in experiments) / 25.0, 2.0 * least)
+    return np.geomspace(least, most, NUMBER_OF_WIDTHS)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Motion:
+    """Smoothed motion of every joint at some instants: (n, nv) each; inputs (n, nu)."""
+
+    time: np.ndarray
+    position: np.ndarray
+    speed: np.ndarray
+    acceleration: np.ndarray
+    inputs: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Balance:
+    """Parameters by force balance, and how far each joint's equation is from closing.
+
+    ``residual`` maps joints to rms(force left over) / rms(force applied); ``force`` (n, nv) is what is
+    left over at the motion's instants.
+    """
+
+    theta: np.ndarray
+    std_error: np.ndarray
+    residual: dict[str, float]
+    motion: Motion
+    force: np.ndarray
+    width: float
+
+
+def observable(model: Model, experiment: Experiment) -> bool:
+    """Say whether the record shows every joint's position (as hinges and slides only)."""
+    structure = model.structure
+    kin = kinematics_of(model, experiment.channels)
+    return bool(
+        structure.nq == structure.nv
+        and len(structure.joints) == structure.nv
+        and np.linalg.matrix_rank(kin.position) == structure.nv
+    )
+
+
+def motion_of(model: Model, experiment: Experiment, plant: Plant, width: float, hold: Hold) -> Motion:
+    """Smooth a record's motion with a Gaussian of standard deviation ``width`` [s]."""
+    dt, sd = experiment.dt, width / experiment.dt
+    inverse = np.linalg.pinv(kinematics_of(model, experiment.channels).position)
+    q = experiment.outputs @ inverse.T
+    edge = int(np.ceil(4 * sd)) + 1
+    stride = max(1, (len(q) - 2 * edge) // POINTS)
+    keep = slice(edge, max(len(q) - edge, edge + 1), stride)
+    smooth = [gaussian_filter1d(q, sd, axis=0, order=k) / dt**k for k in range(3)]
+    inputs = _centred_inputs(experiment, plant, hold)
+    filtered = gaussian_filter1d(inputs, sd, axis=0) if inputs.shape[1] else inputs
+    return Motion(
+        time=experiment.time[keep],
+        position=smooth[0][keep],
+        speed=smooth[1][keep],
+        acceleration=smooth[2][keep],
+        inputs=filtered[keep],
+    )
+
+
+def _centred_inputs(experiment: Experiment, plant: Plant, hold: Hold) -> np.ndarray:
+    """Return the input as it acts around each sample: half of a held input is the earlier one's."""
+    u = experiment.inputs.copy()
+    for k, placed in plant.conditioners:
+        u[:, k] = placed.effect.condition(u[:, k], placed.values)
+    for k in np.flatnonzero(plant.delays):
+        u[:, k] = delayed(u[:, k], plant.delays[k] / experiment.dt)
+    if hold != "zero" or len(u) < 2:
+        return between_samples(u, 1, "zero")
+    return 0.5 * (u + np.vstack([u[:1], u[:-1]]))
+
+
+def missing_force(plant: Plant, motion: Motion, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
+    """Return the force each joint needs beyond what the model gives, and the actuators' (n, nv)."""
+    model = plant.model
+    n = len(motion.time)
+    needed, applied = np.empty((n, model.nv)), np.empty((n, model.nv))
+    for i in range(n):
+        data.qpos[:] = motion.position[i]
+        data.qvel[:] = motion.speed[i]
+        data.qacc[:] = motion.acceleration[i]
+        if model.nu:
+            data.ctrl[:] = motion.inputs[i]
+        if model.na:
+            data.act[:] = _steady_activation(model, data.ctrl)
+        mujoco.mj_inverse(model, data)
+        mujoco.mj_fwdActuation(model, data)
+        needed[i] = data.qfrc_inverse
+        applied[i] = data.qfrc_actuator
+    return needed - applied, applied
+
+
+def _steady_activation(model: mujoco.MjModel, ctrl: np.ndarray) -> np.ndarray:
+    act = np.zeros(model.na)
+    for i in range(model.nactuator):
+        if model.actuator_actadr[i] >= 0 and model.actuator_ctrlnum[i]:
+            act[model.actuator_actadr[i]] = ctrl[model.actuator_ctrladr[i]]
+    return act
+
+
+def balance(model: Model, parameters: Sequence[Parameter], experiments: Sequence[Experiment],
+            width: float, *, hold: Hold = "zero", theta: np.ndarray | None = None) -> Balance:
+    """Estimate parameters by weighted least squares on the force balance.
+
+    Parameters
+    ----------
+    model : Model
+    parameters : sequence of Parameter
+        Free ones; the balance is linearised at their starting values and solved twice.
+    experiments : sequence of Experiment
+        All with every joint's position measured.
+    hold : {"zero", "first", "smooth"}
+        The input between samples.
+    width : float
+        Standard deviation of the smoothing Gaussian [s].
+    theta : ndarray (p,), optional
+        Start.
+
+    Returns
+    -------
+    Balance
+    """
+    theta = np.array([p.value for p in parameters]) if theta is None else theta.copy()
+    step = min(e.dt for e in experiments)
+    start = model.compile(step)
+    motions = [motion_of(model, e, start, width, hold) for e in experiments]
+
+    def residual(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        named = {p.name: float(v) for p, v in zip(parameters, values, strict=True)}
+        plant = model.with_values(named).compile(step)
+        with run_time_laws([plant]):
+            parts = [missing_force(plant, m, mujoco.MjData(plant.model)) for m in motions]
+        return np.vstack([p[0] for p in parts]), np.vstack([p[1] for p in parts])
+
+    std = np.full(len(theta), np.nan)
+    for _ in range(2 if len(theta) else 0):
+        base, _applied = residual(theta)
+        theta, std = _solve(parameters, theta, base, residual)
+    left, applied = residual(theta)
+    size = np.sqrt(np.mean(applied**2, axis=0))
+    if not size.any():
+        size = _inertial_size(start, motions)
+    inertial = np.sqrt(np.mean(left**2, axis=0))
+    reference = np.where(size > 1e-9 * size.max(), size, max(size.max(), 1e-300))
+    names = [j.name for j in model.structure.joints]
+    return Balance(
+        theta=theta,
+        std_error=std,
+        residual={n: float(a / b) for n, a, b in zip(names, inertial, reference, strict=True)},
+        motion=_joined(motions),
+        force=-left,
+        width=width,
+    )
+
+
+def _inertial_size(plant: Plant, motions: Sequence[Motion]) -> np.ndarray:
+    """Return the rms of M qdd per joint (nv,), at the plant's own inertia."""
+    data = mujoco.MjData(plant.model)
+    mass = np.zeros((plant.model.nv, plant.model.nv))
+    forces = []
+    for motion in motions:
+        for q, a in zip(motion.position, motion.acceleration, strict=True):
+            data.qpos[:] = q
+            mujoco.mj_fwdPosition(plant.model, data)
+            mujoco.mj_fullM(plant.model, data, mass)
+            forces.append(mass @ a)
+    return np.asarray(np.sqrt(np.mean(np.square(forces), axis=0)))
+
+
+def _joined(motions: Sequence[Motion]) -> Motion:
+    return Motion(**{
+        name: np.concatenate([getattr(m, name) for m in motions])
+        for name in ("time", "position", "speed", "acceleration", "inputs")
+    })
+
+
+def _solve(parameters: Sequence[Parameter], theta: np.ndarray, base: np.ndarray, residual: object,
+           ) -> tuple[np.ndarray, np.ndarray]:
+    steps = 1e2 * parameter_steps(parameters, theta)
+    columns = np.stack(
+        [
+            (residual(theta + s * np.eye(len(theta))[k])[0] - base) / s  # type: ignore[operator]
+            for k, s in enumerate(steps)
+        ],
+        axis=2,
+    )
+    weight = 1.0 / np.maximum(base.std(axis=0), 1e-12 * max(base.std(), 1e-300))
+    rows = (columns * weight[None, :, None]).reshape(-1, len(theta))
+    target = -(base * weight).ravel()
+    scale = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
+    lower = (np.array([p.lower for p in parameters]) - theta) * scale
+    upper = (np.array([p.upper for p in parameters]) - theta) * scale
+    lower, upper = np.minimum(lower, -1e-9), np.maximum(upper, 1e-9)
+    normal = rows / scale
+    solution = lsq_linear(np.linalg.qr(normal, mode="r"), _compressed(normal, target),
+                          bounds=(lower, upper), method="bvls").x
+    left = target - normal @ solution
+    gram = np.linalg.pinv(normal.T @ normal)
+    std = np.sqrt(np.maximum(np.diag(gram), 0) * float(left @ left) / max(len(left) - len(theta), 1)) / scale
+    limits = np.array([[p.lower, p.upper] for p in parameters])
+    return np.clip(theta + solution / scale, limits[:, 0], limits[:, 1]), std
+
+
+def _compressed(rows: np.ndarray, target: np.ndarray) -> np.ndarray:
+    q, _ = np.linalg.qr(rows)
+    return np.asarray(q.T @ target)

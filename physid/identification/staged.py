@@ -1,0 +1,150 @@
+"""A fit that finds its way from a bad start: short windows, long windows, then the whole record."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from physid.errors import ConvergenceError, DivergedError, ModelError
+from physid.identification.force_balance import balance, observable, widths
+from physid.identification.output_error import Estimate, Problem, minimise
+from physid.identification.windows import Span, cut, typical_period, whole
+
+SHORT, LONG = 0.3, 1.5
+"""Window lengths in typical periods of the motion."""
+FEWEST = 12
+"""Windows that are kept however long they are."""
+ENOUGH = 6000
+"""Samples used while a start is looked for."""
+Progress = Callable[[str, float], None]
+Spans = Callable[[int], Sequence[Span]]
+
+
+def windowed(problem: Problem, periods: float, spans: Spans | None = None) -> Problem:
+    """Return the problem on windows of a length in typical periods, at most a sixth of a record.
+
+    Parameters
+    ----------
+    periods : float
+        Window length in typical periods of the motion; infinite for one window per stretch.
+    spans : callable, optional
+        From a number of samples to the stretches that are used; the whole record if not given.
+    """
+    experiments = [w.experiment for w in problem.windows]
+    seconds = periods * typical_period(experiments)
+    if np.isfinite(seconds):
+        seconds = min(seconds, min(e.samples * e.dt for e in experiments) / 6.0)
+    return problem.with_windows([
+        cut(w.experiment, w.simulator, seconds, spans(w.experiment.samples) if spans else ())
+        for w in problem.windows
+    ])
+
+
+def thinned(problem: Problem, most: int) -> Problem:
+    """Leave out windows, evenly, until at most so many samples or :data:`FEWEST` windows remain."""
+    total = sum(len(w.starts) * w.samples for w in problem.windows)
+    count = sum(len(w.starts) for w in problem.windows)
+    stride = min(int(np.ceil(total / most)), count // FEWEST)
+    if stride <= 1:
+        return problem
+    return problem.with_windows([w.take(np.arange(0, len(w.starts), stride)) for w in problem.windows])
+
+
+def on_whole_records(problem: Problem) -> Problem:
+    """Return the problem on whole records."""
+    return problem.with_windows([whole(w.experiment, w.simulator) for w in problem.windows])
+
+
+def starting_point(problem: Problem) -> np.ndarray:
+    """Find parameter values near the minimum on long windows.
+
+    Candidates: the given values, the force balance at several widths (where every joint is seen), and
+    a fit of short windows; each is judged on long windows and the best is fitted there.
+
+    Raises
+    ------
+    DivergedError
+        If the simulation diverges from every one of them.
+    """
+    long = thinned(windowed(problem, LONG), ENOUGH)
+    if not problem.parameters:
+        return problem.start()
+    found = [problem.start(), *_from_force_balance(problem)]
+    costs = [_cost(long, theta) for theta in found]
+    best = found[int(np.argmin(costs))]
+    if not np.isfinite(min(costs)):
+        best = problem.start()
+    short = thinned(windowed(problem, SHORT), ENOUGH)
+    for start in _distinct([best, problem.start()]):
+        try:
+            found.append(minimise(short, start, iterations=12, tolerance=1e-3).theta)
+        except DivergedError:
+            continue
+    costs = [_cost(long, theta) for theta in found]
+    return found[int(np.argmin(costs))]
+
+
+def _distinct(points: Sequence[np.ndarray]) -> list[np.ndarray]:
+    return [p for k, p in enumerate(points) if not any(np.array_equal(p, o) for o in points[:k])]
+
+
+def _from_force_balance(problem: Problem) -> list[np.ndarray]:
+    experiments = [w.experiment for w in problem.windows]
+    if not all(observable(problem.model, e) for e in experiments):
+        return []
+    found = []
+    hold = problem.windows[0].simulator.hold
+    for width in widths(experiments):
+        try:
+            found.append(balance(problem.model, problem.parameters, experiments, width, hold=hold).theta)
+        except (np.linalg.LinAlgError, ValueError, ModelError):
+            continue
+    return found
+
+
+def _cost(problem: Problem, theta: np.ndarray) -> float:
+    """Cost on windows with the initial states at their best for one linear step."""
+    try:
+        fixed = _frozen(problem, theta)
+        return minimise(fixed, np.zeros(0), iterations=2, tolerance=1e-2).chi2
+    except (DivergedError, ModelError):
+        return float("inf")
+
+
+def _frozen(problem: Problem, theta: np.ndarray) -> Problem:
+    values = {p.name: float(v) for p, v in zip(problem.parameters, theta, strict=True)}
+    return replace(problem, model=problem.model.with_values(values), parameters=())
+
+
+def fit_windows(problem: Problem, theta: np.ndarray | None = None, *, iterations: int = 20) -> Estimate:
+    """Fit on the problem's windows, starting again with fresh damping while that still helps."""
+    estimate = minimise(problem, theta, iterations=iterations)
+    for _ in range(3):
+        again = minimise(problem, estimate.theta, estimate.states, iterations=iterations)
+        gain = estimate.chi2 - again.chi2
+        estimate = again
+        if gain < 0.02 * estimate.chi2:
+            break
+    return estimate
+
+
+def fit_whole(problem: Problem, theta: np.ndarray, *, tolerance: float = 1e-6) -> Estimate:
+    """Fit on the whole records, from values found on windows.
+
+    Raises
+    ------
+    DivergedError, ConvergenceError
+        If the simulation diverges or no minimum is reached.
+    """
+    whole_problem = on_whole_records(problem)
+    estimate = minimise(whole_problem, theta, iterations=40, tolerance=tolerance)
+    if not np.isfinite(estimate.chi2):
+        raise ConvergenceError("The fit did not reach a finite misfit; check the model's units.")
+    return estimate
+
+
+def states_only(problem: Problem) -> Estimate:
+    """Estimate the initial states alone, every parameter frozen."""
+    return minimise(replace(problem, parameters=()), np.zeros(0), iterations=20, tolerance=1e-6)

@@ -1,0 +1,250 @@
+"""What every command does first: load, match, choose what is free, how to simulate, how noisy it is."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from physid.effects.catalogue import add_effects, load_model
+from physid.errors import InputError, RecordError
+from physid.identification.accuracy import refine_steps, with_substeps
+from physid.identification.experiment import (
+    Experiment,
+    as_experiment,
+    check_same_channels,
+    ranges_of,
+)
+from physid.identification.freedom import candidates, identifiable, named
+from physid.identification.noise import noise_level
+from physid.identification.output_error import Problem, minimise
+from physid.identification.staged import (
+    ENOUGH,
+    LONG,
+    SHORT,
+    on_whole_records,
+    starting_point,
+    thinned,
+    windowed,
+)
+from physid.identification.windows import whole
+from physid.plant.model import Model
+from physid.plant.parameter import Parameter
+from physid.plant.simulation import Hold, Simulator, make_simulator
+
+Progress = Callable[[str, float], None]
+HoldChoice = Literal["zero", "first", "smooth", "auto"]
+CLEARLY = 0.7
+"""Another kind of hold must lower the squares on windows to this share to be preferred."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Options:
+    """What a user may say about a study; see :func:`physid.fit` for the meanings."""
+
+    fit: str | Sequence[str] | None = "auto"
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    add: Sequence[str] = ()
+    hold: HoldChoice | None = None
+    rename: Mapping[str, str] = field(default_factory=dict)
+    seed: int = 0
+    jobs: int = 1
+    progress: Progress | None = None
+
+    def report(self, stage: str, fraction: float) -> None:
+        """Tell the caller how far the study is."""
+        if self.progress is not None:
+            self.progress(stage, fraction)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Study:
+    """A problem on whole records, near its minimum on windows, and what was decided on the way.
+
+    ``theta`` are parameter values from :func:`starting_point` (the model's own where nothing is free).
+    """
+
+    problem: Problem
+    theta: np.ndarray
+    notes: tuple[str, ...]
+    integration_error: float
+    options: Options
+
+    @property
+    def model(self) -> Model:
+        """The model at the study's parameter values."""
+        return at_values(self.problem.model, self.problem.parameters, self.theta)
+
+    @property
+    def experiments(self) -> list[Experiment]:
+        """The records the problem is fitted to."""
+        return [w.experiment for w in self.problem.windows]
+
+    @property
+    def simulator(self) -> Simulator:
+        """The simulator of the first record."""
+        return self.problem.windows[0].simulator
+
+
+def at_values(model: Model, parameters: Sequence[Parameter], theta: np.ndarray) -> Model:
+    """Return a model at the values theta (p,) of some parameters."""
+    return model.with_values({p.name: float(v) for p, v in zip(parameters, theta, strict=True)})
+
+
+def as_model(model: Model | str | os.PathLike[str]) -> Model:
+    """Return the model, loaded if a path was given."""
+    return model if isinstance(model, Model) else load_model(model)
+
+
+def prepare(model: Model | str | os.PathLike[str], records: Sequence[object], options: Options) -> Study:
+    """Set up a study: everything up to the neighbourhood of the fit.
+
+    Parameters
+    ----------
+    model : Model or path
+    records : sequence of Record or path
+    options : Options
+
+    Raises
+    ------
+    InputError
+        If the call or a file is wrong.
+    """
+    options.report("reading the model and the records", 0.0)
+    loaded, free = add_effects(as_model(model), options.add)
+    experiments = experiments_of(loaded, records, options)
+    notes = [*loaded.notes, *(n for e in experiments for n in e.notes)]
+    _check_moving_joints(loaded)
+    first_hold: Hold = options.hold if options.hold in ("zero", "first", "smooth") else "zero"  # type: ignore[assignment]
+    problem = _problem(loaded, experiments, first_hold, options)
+    parameters, choice_notes = free_parameters(problem, options, free)
+    problem = replace(problem, parameters=parameters)
+    _check_rows(problem)
+    options.report("finding a start", 0.1)
+    theta = starting_point(problem)
+    if options.hold in (None, "auto") and parameters:
+        problem, theta, note = choose_hold(problem, theta)
+        notes += [note] if note else []
+    long = windowed(problem, LONG)
+    options.report("choosing the integration step", 0.25)
+    long, error = refine_steps(long, theta, long.states())
+    problem = with_substeps(problem, long.windows[0].simulator.substeps)
+    return Study(
+        problem=problem,
+        theta=theta,
+        notes=(*notes, *choice_notes),
+        integration_error=error,
+        options=options,
+    )
+
+
+def experiments_of(model: Model, records: Sequence[object], options: Options) -> list[Experiment]:
+    """Match all records to the model and check that they belong together."""
+    if not records:
+        raise InputError("No record is given; give one CSV, Parquet, NPZ or MAT file at least.")
+    experiments = [as_experiment(model, r, options.rename) for r in records]
+    check_same_channels(experiments)
+    return experiments
+
+
+def _check_moving_joints(model: Model) -> None:
+    if not model.structure.joints:
+        raise InputError(f"{model.name} has no hinge or slide joint; physid estimates and diagnoses those.")
+
+
+def _problem(model: Model, experiments: Sequence[Experiment], hold: Hold, options: Options) -> Problem:
+    ranges = ranges_of(model, experiments)
+    substeps = _stable_substeps(model, experiments)
+    windows = [
+        whole(e, make_simulator(model, e.dt, substeps, ranges, hold=hold, threads=options.jobs,
+                                seed=options.seed))
+        for e in experiments
+    ]
+    return Problem(model=model, parameters=(), windows=tuple(windows), sigma=noise_level(experiments))
+
+
+def _stable_substeps(model: Model, experiments: Sequence[Experiment]) -> int:
+    """Start no coarser than twice the MJCF's own step, which its author found stable."""
+    return int(np.clip(np.ceil(max(e.dt for e in experiments) / (2.0 * model.dt)), 1, 32))
+
+
+def free_parameters(problem: Problem, options: Options, added: Sequence[str],
+                    ) -> tuple[tuple[Parameter, ...], list[str]]:
+    """Return the free parameters of a study and sentences on the choice."""
+    model = problem.model
+    if options.fit == "auto":
+        wanted = candidates(model)
+        if not wanted:
+            return named(model, added, options.bounds, options.priors), ["Nothing can be freed."]
+        chosen = identifiable(windowed(problem, LONG), wanted)
+        names = [p.name for p in chosen.parameters]
+        notes = list(chosen.notes)
+    else:
+        names = list(options.fit or ())
+        notes = []
+    parameters = named(model, [*names, *added], options.bounds, options.priors)
+    return tuple(_with_scale(model, p) for p in parameters), notes
+
+
+def _with_scale(model: Model, parameter: Parameter) -> Parameter:
+    """Give a parameter that starts at zero a size to step by, from a like one in the model."""
+    if parameter.value:
+        return parameter
+    suffix = "." + parameter.name.split(".", 1)[-1]
+    like = [abs(p.value) for p in model.every_parameter() if p.name.endswith(suffix) and p.value]
+    return replace(parameter, scale=float(np.median(like)) if like else 1e-3)
+
+
+def _check_rows(problem: Problem) -> None:
+    unknown = len(problem.parameters) + sum(2 * problem.model.structure.nv for _ in problem.windows)
+    if problem.measurements() <= unknown:
+        path = problem.windows[0].experiment.path
+        raise RecordError(
+            f"{path} has {problem.measurements()} measured numbers for {unknown} unknowns (parameters and "
+            "initial states); give a longer record or free fewer parameters."
+        )
+
+
+def choose_hold(problem: Problem, theta: np.ndarray) -> tuple[Problem, np.ndarray, str]:
+    """Choose how the input runs between its samples, if the record speaks clearly.
+
+    A held input is the default; straight lines or a spline are taken only where they lower the
+    squares on windows to 70 %.  An input that mostly stands still is held.
+    """
+    held = sum(int(np.sum(np.diff(w.experiment.inputs, axis=0) == 0)) for w in problem.windows)
+    total = sum(max(w.experiment.inputs[1:].size, 1) for w in problem.windows)
+    if not problem.model.structure.inputs or held > 0.5 * total:
+        return problem, theta, ""
+    tried = {}
+    for hold in ("zero", "first", "smooth"):
+        other = with_hold(problem, hold)  # type: ignore[arg-type]
+        short = minimise(thinned(windowed(other, SHORT), ENOUGH), theta, iterations=8, tolerance=1e-3)
+        long = minimise(thinned(windowed(other, LONG), ENOUGH), short.theta, iterations=10, tolerance=1e-3)
+        tried[hold] = (long.chi2, long.theta)
+    best = min(tried, key=lambda h: tried[h][0])
+    if best == "zero" or tried[best][0] > CLEARLY * tried["zero"][0]:
+        return problem, theta, ""
+    words = {"first": "straight lines", "smooth": "a smooth curve"}[best]
+    share = np.sqrt(tried[best][0] / tried["zero"][0])
+    return (
+        with_hold(problem, best),  # type: ignore[arg-type]
+        tried[best][1],
+        f"The input is joined by {words} between its samples: the misfit falls to {100 * share:.0f} % of "
+        "that with a held input (--hold zero keeps it held).",
+    )
+
+
+def with_hold(problem: Problem, hold: Hold) -> Problem:
+    """Return the problem with another course of the input between samples."""
+    return problem.with_windows(
+        [replace(w, simulator=replace(w.simulator, hold=hold, substeps=max(w.simulator.substeps, 2)))
+         for w in problem.windows]
+    )
+
+
+__all__ = ["Options", "Progress", "Study", "as_model", "at_values", "experiments_of", "on_whole_records",
+           "prepare"]

@@ -1,0 +1,24 @@
+"""What was measured: records, reading and writing them, excitation signals."""
+
+from __future__ import annotations
+
+from physid.record.excitation import Chirp, Excitation, MSequence, Multisine, Noise, Step
+from physid.record.reading import load_record
+from physid.record.record import Record, Samples, uniform
+from physid.record.specification import parse_excitation
+from physid.record.writing import write_record
+
+__all__ = [
+    "Chirp",
+    "Excitation",
+    "MSequence",
+    "Multisine",
+    "Noise",
+    "Record",
+    "Samples",
+    "Step",
+    "load_record",
+    "parse_excitation",
+    "uniform",
+    "write_record",
+]

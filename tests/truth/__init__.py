@@ -1,0 +1,1 @@
+"""Rigs whose truth is known: records of hidden effects, made without MuJoCo and without physid."""
