@@ -164,7 +164,7 @@ def _by_balance(inner: Problem, starts: Sequence[Start]) -> list[Start]:
         return []
     own = {p.name: v for p, v in zip(trial.parameters, theta, strict=True)}
     values = {c.name: own[trial.model.coefficient_name(placed, c)] for c in placed.effect.coefficients}
-    return [Start(placed.with_values(values), np.array([own[p.name] for p in inner.parameters]))]
+    return [Start(placed.with_values(values), np.array([own.get(p.name, p.value) for p in inner.parameters]))]
 
 
 def _logs(fit: Refit, base: Base) -> list[float]:

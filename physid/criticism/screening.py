@@ -197,7 +197,7 @@ def orthonormal(columns: np.ndarray) -> np.ndarray:
     return np.asarray(u[:, s > 1e-7 * s[0]])
 
 
-def thinned(problem: Problem, estimate: Estimate) -> tuple[Problem, Estimate]:
+def thinned_fit(problem: Problem, estimate: Estimate) -> tuple[Problem, Estimate]:
     """Leave out windows until at most :data:`MOST_SAMPLES` samples remain."""
     total = sum(len(w.starts) * w.samples for w in problem.windows)
     stride = int(np.ceil(total / MOST_SAMPLES))
@@ -225,7 +225,7 @@ def screen(problem: Problem, estimate: Estimate, candidates: Sequence[tuple[Effe
         Its fit there.
     candidates : sequence of (Effect, Place)
     """
-    ground = ground_of(*thinned(problem, estimate))
+    ground = ground_of(*thinned_fit(problem, estimate))
     found = []
     for effect, place in candidates:
         scales = ground.scales.get(place)

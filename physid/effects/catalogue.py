@@ -166,17 +166,30 @@ def load_model(path: str | os.PathLike[str]) -> Model:
         If the file is missing, is not MJCF, or does not compile.
     """
     spec, notes = read_spec(Path(path))
+    return _restored(spec, Path(path).name, notes)
+
+
+def load_model_text(xml: str, like: Model) -> Model:
+    """Load a model from the text of an MJCF file whose assets are another model's."""
+    spec = mujoco.MjSpec.from_string(xml)
+    spec.assets = like.spec.assets
+    spec.modelfiledir = like.spec.modelfiledir
+    return _restored(spec, like.name, ())
+
+
+def _restored(spec: mujoco.MjSpec, name: str, notes: tuple[str, ...]) -> Model:
+    """Make a model of a specification, turning stored entries back into effects."""
     stored = _take_stored(spec)
     structure = structure_of(spec.copy().compile())
-    model = Model(name=Path(path).name, spec=spec, notes=notes)
+    model = Model(name=name, spec=spec, notes=notes)
     for text, data in stored:
-        name, _, location = text.partition("@")
-        effect = effect_named(name)
+        effect_name, _, location = text.partition("@")
+        effect = effect_named(effect_name)
         place = structure.find(location, effect.kinds)
         values = dict(zip((c.name for c in effect.coefficients), data, strict=False))
         if len(values) != len(effect.coefficients):
             raise ModelError(
-                f"{Path(path).name}: custom entry physid:{text} holds {len(data)} numbers; "
+                f"{name}: custom entry physid:{text} holds {len(data)} numbers; "
                 f"{effect.name} has {len(effect.coefficients)} parameters."
             )
         effect.undo(spec, place, values)

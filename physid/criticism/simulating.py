@@ -1,0 +1,135 @@
+"""``simulate``: a run of the model along a record's inputs or an excitation."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from physid.effects.catalogue import add_effects
+from physid.errors import DivergedError, InputError, available
+from physid.identification.accuracy import FINEST
+from physid.identification.study import as_model
+from physid.plant.model import Model
+from physid.plant.simulation import Hold, Rollout, Simulator
+from physid.record import MSequence, Record, load_record, parse_excitation
+
+GOOD_ENOUGH = 1e-6
+"""Integration error relative to the outputs' spread."""
+
+
+def simulate(model: Model | str | os.PathLike[str], record: Record | str | os.PathLike[str] | None = None, *,
+             excite: str | None = None, add: Sequence[str] = (), hold: str | None = None,
+             rename: Mapping[str, str] | None = None, seed: int = 0, **_unused: Any) -> Record:
+    """Simulate a model.
+
+    Parameters
+    ----------
+    model : Model or path
+    record : Record or path, optional
+        Its input columns are the inputs.
+    excite : str, optional
+        An excitation of the first actuator instead, such as
+        ``"mseq:stages=10,clock=0.01,amplitude=1"``; ``ACTUATOR=...`` in front names another.
+    add : sequence of str
+        Effects with values, ``EFFECT@LOCATION:parameter=value,...``.
+    hold : {"zero", "first"}
+        The input between samples.
+    seed : int
+        Of random excitations.
+
+    Returns
+    -------
+    Record
+        Time, inputs and every sensor; it starts at the model's initial state.
+
+    Raises
+    ------
+    InputError, DivergedError
+    """
+    loaded, free = add_effects(as_model(model), add)
+    if free:
+        raise InputError(f"{free[0]} has no value; a simulation needs one: write --add EFFECT@LOCATION:parameter=value.")
+    if (record is None) == (excite is None):
+        raise InputError("Give either an input record (--input) or an excitation (--excite), not both or neither.")
+    time, inputs, path = _inputs(loaded, record, excite, rename or {}, seed)
+    outputs = _simulated(loaded, time, inputs, "first" if hold == "first" else "zero")
+    names = [*loaded.structure.inputs, *(c.name for c in loaded.structure.channels)]
+    return Record(time=time, columns=tuple(names), values=np.hstack([inputs, outputs]), path=path)
+
+
+def _inputs(model: Model, record: Record | str | os.PathLike[str] | None, excite: str | None,
+            rename: Mapping[str, str], seed: int) -> tuple[np.ndarray, np.ndarray, str]:
+    structure = model.structure
+    if excite is not None:
+        return _excited(model, excite, seed)
+    source = record if isinstance(record, Record) else load_record(
+        record, rename=rename, held=structure.inputs, only=structure.inputs  # type: ignore[arg-type]
+    )
+    missing = [n for n in structure.inputs if n not in source.columns]
+    if missing:
+        raise InputError(
+            f"{source.path} has no column for the actuator {missing[0]}; its columns are "
+            f"{', '.join(source.columns) or 'none but time'}; rename one with --map COLUMN={missing[0]}."
+        )
+    values = source.select(structure.inputs) if structure.inputs else np.zeros((source.samples, 0))
+    return np.asarray(source.time), values, source.path
+
+
+def _excited(model: Model, text: str, seed: int) -> tuple[np.ndarray, np.ndarray, str]:
+    structure = model.structure
+    if not structure.inputs:
+        raise InputError(f"{model.name} has no actuator to excite; give a record with --input.")
+    name, equals, rest = text.partition("=")
+    chosen, spec = (name, rest) if equals and ":" not in name else (structure.inputs[0], text)
+    if chosen not in structure.inputs:
+        raise InputError(f"No actuator is called '{chosen}'. {available(structure.inputs)}")
+    excitation = parse_excitation(spec)
+    dt = model.dt
+    if isinstance(excitation, MSequence):
+        dt = excitation.clock / math.ceil(excitation.clock / dt - 1e-9)
+    u = excitation.sample(dt, np.random.default_rng(seed))
+    inputs = np.zeros((len(u), len(structure.inputs)))
+    inputs[:, structure.inputs.index(chosen)] = u
+    return np.arange(len(u)) * dt, inputs, text
+
+
+def _simulated(model: Model, time: np.ndarray, inputs: np.ndarray, hold: Hold) -> np.ndarray:
+    """Simulate in the engine, halving the step until the outputs no longer change."""
+    dt = float((time[-1] - time[0]) / (len(time) - 1))
+    substeps = max(1, math.ceil(dt / model.dt - 1e-9))
+    coarse = _run(model, dt, substeps, inputs, hold)
+    while substeps < FINEST:
+        fine = _run(model, dt, 2 * substeps, inputs, hold)
+        spread = np.nanmax(np.nanstd(fine.outputs[0], axis=0)) or 1.0
+        close = np.nanmax(np.abs(fine.outputs - coarse.outputs)) <= GOOD_ENOUGH * spread
+        substeps, coarse = 2 * substeps, fine
+        if close and np.isfinite(fine.outputs).all():
+            break
+    bad = ~np.isfinite(coarse.outputs[0]).all(axis=1)
+    if bad.any():
+        at = float(time[int(np.flatnonzero(bad)[0])])
+        raise DivergedError(
+            f"The simulation of {model.name} diverges at t = {at:.6g} s, joint {_fastest(model, coarse)} first; "
+            "check the model's stiffness, damping and units."
+        )
+    return np.asarray(coarse.outputs[0])
+
+
+def _fastest(model: Model, run: Rollout) -> str:
+    states = run.states[0][np.isfinite(run.states[0]).all(axis=1)]
+    joints = model.structure.joints
+    speeds = [abs(states[-1, model.structure.nq + j.dof]) if len(states) else 0.0 for j in joints]
+    return joints[int(np.argmax(speeds))].name if joints else "none"
+
+
+def _run(model: Model, dt: float, substeps: int, inputs: np.ndarray, hold: Hold) -> Rollout:
+    simulator = Simulator(structure=model.structure, dt=dt, substeps=substeps, hold=hold)
+    plant = model.compile(simulator.step)
+    initial = np.concatenate([plant.model.qpos0, np.zeros(plant.model.nv)])[None]
+    if plant.model.na:
+        initial = np.hstack([initial, np.zeros((1, plant.model.na))])
+    return simulator.run([plant], [initial], inputs, np.zeros(1, int), len(inputs))[0]
