@@ -2,6 +2,7 @@
 
 import os
 import re
+import runpy
 import shlex
 import stat
 from pathlib import Path
@@ -12,7 +13,7 @@ from typer.main import get_command
 from physid.cli.app import make_app
 
 ROOT = Path(__file__).resolve().parents[1]
-DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "docs" / "effects.md"]
 
 
 def commands_in(path):
@@ -68,6 +69,13 @@ def test_links_lead_somewhere():
     for path in [*DOCUMENTS, ROOT / "CHANGELOG.md"]:
         for target in re.findall(r"\]\(([^)#]+)\)", path.read_text(encoding="utf-8")):
             assert "://" in target or (path.parent / target).exists(), f"{path.name}: {target}"
+
+
+def test_page_of_effects_is_current():
+    script = runpy.run_path(str(ROOT / "scripts" / "effects_page.py"))
+    assert script["PAGE"].read_text(encoding="utf-8") == script["page"](), (
+        "run python scripts/effects_page.py"
+    )
 
 
 def test_constraints_are_names_and_versions():

@@ -13,19 +13,6 @@ from physid.cli.options import Output, grouped
 if TYPE_CHECKING:
     from rich.console import Console
 
-LINEAR = {"f": "N", "x": "m", "v": "m/s", "m": "kg"}
-ANGULAR = {"f": "N m", "x": "rad", "v": "rad/s", "m": "kg m^2"}
-SIGNAL = {"f": "unit of u", "x": "unit of u", "v": "unit of u per s", "m": "1"}
-UNITS = {
-    "joint": (LINEAR, ANGULAR),
-    "tendon": (LINEAR, ANGULAR),
-    "hinge": (ANGULAR,),
-    "body": (LINEAR, ANGULAR),
-    "actuator": (SIGNAL,),
-    "sensor": (SIGNAL,),
-}
-"""Units of force, position, speed and inertia at every kind of place."""
-
 
 @dataclass(frozen=True, slots=True)
 class Catalogue:
@@ -49,25 +36,13 @@ def effects(output: Output) -> int:
     from physid.effects.catalogue import CATALOGUE, describe
 
     with working(output):
-        known = [_with_units(describe(effect)) for effect in CATALOGUE]
-    deliver(Catalogue(known), output, printer=_print)
+        known = [describe(effect) for effect in CATALOGUE]
+    deliver(Catalogue(known), output, printer=print_effects)
     return OK
 
 
-def _with_units(effect: Mapping[str, Any]) -> dict[str, Any]:
-    """Write out the unit templates of an effect for every kind of place where it can sit."""
-    from physid.plant.parameter import write_unit
-
-    systems = [system for place in effect["places"] for system in UNITS[place]]
-    parameters = [
-        dict(parameter)
-        | {"unit": " or ".join(dict.fromkeys(write_unit(parameter["unit"], s) for s in systems))}
-        for parameter in effect["parameters"]
-    ]
-    return dict(effect) | {"parameters": parameters}
-
-
-def _print(content: Mapping[str, Any], console: Console) -> None:
+def print_effects(content: Mapping[str, Any], console: Console) -> None:
+    """Print the catalogue as a table."""
     from rich import box
     from rich.table import Table
     from rich.text import Text

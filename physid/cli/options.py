@@ -24,13 +24,16 @@ ADD = typer.Option(
     help="Add an effect by hand; parameters without a value are fitted. Repeatable.",
 )
 HOLD = typer.Option(
-    "--hold", metavar="zero|first|auto", help="What the input does between two samples."
+    "--hold",
+    metavar="zero|first|smooth|auto",
+    help="The input between two samples: held, straight lines, or a smooth curve. Default: held, "
+    "unless the record clearly says otherwise, which is then noted.",
 )
 MAP = typer.Option("--map", metavar="COLUMN=NAME", help="Rename a column. Repeatable.")
 MODEL = typer.Argument(metavar="MODEL", help="An MJCF file. It is never written to.")
 RECORDS = typer.Argument(metavar="RECORD", help="Measured runs of one rig, fitted jointly.")
 
-HOLDS = ("zero", "first", "auto")
+HOLDS = ("zero", "first", "smooth", "auto")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,7 +83,7 @@ class Study:
         ),
     ] = None
     add: Annotated[list[str] | None, ADD] = None
-    hold: Annotated[str, HOLD] = "zero"
+    hold: Annotated[str | None, HOLD] = None
     rename: Annotated[list[str] | None, MAP] = None
 
     def keywords(self, *, default_fit: str | None) -> dict[str, Any]:
@@ -108,15 +111,15 @@ class Study:
         }
 
 
-def checked_hold(hold: str) -> str:
-    """Return `hold` if it is a kind of hold.
+def checked_hold(hold: str | None) -> str | None:
+    """Return `hold` if it is a kind of hold, or None where none is given.
 
     Raises
     ------
     InputError
         Naming the kinds there are.
     """
-    if hold not in HOLDS:
+    if hold is not None and hold not in HOLDS:
         raise InputError(f"--hold '{hold}' is not a hold. Available: {', '.join(HOLDS)}.")
     return hold
 

@@ -11,10 +11,13 @@ from typing import Annotated
 import typer
 
 import physid
+from physid.cli.catalogue import print_effects
 from physid.cli.delivery import deliver, show, working
 from physid.cli.ending import OK
 from physid.cli.options import Output, grouped
+from physid.cli.simulation import print_simulation
 
+PRINTERS = {"physid.simulation/1": print_simulation, "physid.effects/1": print_effects}
 DEMO_FOLDER = Path("physid-demo")
 
 
@@ -32,7 +35,7 @@ def report(
     content, curves = load_results(directory)
     with working(replace(output, out=folder)):
         save_results(folder, content, curves)
-    show(content, replace(output, out=folder))
+    show(content, replace(output, out=folder), printer=PRINTERS.get(content["schema"]))
     return OK
 
 

@@ -12,13 +12,17 @@ import typer
 import physid
 from physid.cli.delivery import deliver, working
 from physid.cli.ending import OK
-from physid.cli.options import ADD, HOLD, MODEL, Output, checked_hold, grouped
+from physid.cli.options import ADD, HOLD, MAP, MODEL, Output, checked_hold, grouped
+from physid.cli.parsing import parse_map
 from physid.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from physid.record import Record
+
+MOST_POINTS = 4000
+"""Most points of a curve on the page."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,8 +34,16 @@ class Simulation:
 
     @property
     def curves(self) -> dict[str, Any]:
-        """Nothing beside the record itself."""
-        return {}
+        """The record's columns, for the page."""
+        import numpy as np
+
+        record = self.record
+        rows = slice(None, None, -(-record.samples // MOST_POINTS))
+        return {
+            "time": record.time[rows],
+            "columns": np.array(record.columns),
+            "values": record.values[rows],
+        }
 
     def as_dict(self) -> dict[str, Any]:
         """Return what was simulated: its size and the range of every column."""
@@ -74,7 +86,8 @@ def simulate(
         ),
     ] = None,
     add: Annotated[list[str] | None, ADD] = None,
-    hold: Annotated[str, HOLD] = "zero",
+    hold: Annotated[str | None, HOLD] = None,
+    rename: Annotated[list[str] | None, MAP] = None,
 ) -> int:
     """Run the model on a record's inputs or on a signal; --out gets record.csv."""
     if (record is None) == (excite is None):
@@ -83,23 +96,30 @@ def simulate(
             f"A simulation takes its input from --input RECORD or from --excite SPEC, and {given} "
             "given: give one of them."
         )
-    checked_hold(hold)
+    held, names = checked_hold(hold), parse_map(rename or ())
     from physid.record import write_record
 
     with working(output):
         run = physid.simulate(
-            model, record, excite=excite, add=tuple(add or ()), hold=hold, seed=output.seed
+            model,
+            record,
+            excite=excite,
+            add=tuple(add or ()),
+            hold=held,
+            rename=names,
+            seed=output.seed,
         )
     deliver(
         Simulation(record=run, model=model),
         output,
         extra={"record.csv": lambda file: write_record(run, file)},
-        printer=_print,
+        printer=print_simulation,
     )
     return OK
 
 
-def _print(content: Mapping[str, Any], console: Console) -> None:
+def print_simulation(content: Mapping[str, Any], console: Console) -> None:
+    """Print what was simulated as a table."""
     from rich import box
     from rich.table import Table
     from rich.text import Text

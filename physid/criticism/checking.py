@@ -38,7 +38,7 @@ def check(model: Model | str | os.PathLike[str], records: Sequence[object],
         raise InputError(f"--within is {within:g}; it must be above 0, for example 3%.")
     loaded = as_model(model)
     extended, _ = add_effects(loaded, options.get("add", ()))
-    names = {extended.parameter(name).name: float(value) for name, value in known.items()}
+    names = {_canonical(extended, name, truth): float(value) for name, value in known.items()}
     if options.get("fit", "auto") == "auto":
         options = {**options, "fit": [name for name in names if "@" not in name]}
     fitted = fit(loaded, records, **options)
@@ -55,6 +55,15 @@ def check(model: Model | str | os.PathLike[str], records: Sequence[object],
         "simulation": fitted.data["simulation"],
     }
     return Result(data=data, curves=fitted.curves, model=fitted.model)
+
+
+def _canonical(model: Model, name: str, truth: object) -> str:
+    """Return the canonical name of a parameter that the truth names."""
+    try:
+        return model.parameter(name).name
+    except InputError as error:
+        origin = "truth" if isinstance(truth, Mapping) else f"truth file {truth}"
+        raise InputError(f"The {origin} names '{name}': {error}") from None
 
 
 def _row(name: str, truth: float, found: Mapping[str, Mapping[str, Any]], within: float) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -23,8 +23,9 @@ from physid.criticism.account import (
 from physid.criticism.localisation import Latent, latent_forces, where
 from physid.errors import NumericsError
 from physid.identification.fitting import Fitted, closing_balance, fit_study
-from physid.identification.staged import SHORT, minimise, windowed
-from physid.identification.study import Options, Study, prepare
+from physid.identification.output_error import minimise
+from physid.identification.staged import ENOUGH, SHORT, thinned, windowed
+from physid.identification.study import Options, at_values, prepare
 from physid.plant.model import Model
 
 
@@ -104,17 +105,17 @@ def compare(model: Model | str | os.PathLike[str], records: Sequence[object], **
     fitted = fit_study(study)
     settings.report("finding where the model fails", 0.7)
     rows = channel_rows(fitted.problem, fitted.estimate)
-    latent = latent_of(study, fitted)
+    lack = lack_of(fitted)
     data = {
         "schema": "physid.comparison/1",
         "channels": worst_channels(rows),
         "records": record_rows(fitted.problem, rows, "train"),
-        "where": where(fitted.problem, fitted.estimate, latent, []),
+        "where": where(fitted.problem, fitted.estimate, list(lack.forces), []),
         "parameters": parameters_of(fitted),
         "notes": [*study.notes, *fitted.notes],
         "simulation": simulation_row(fitted.problem, fitted.integration_error, fitted.confirmed),
     }
-    return Result(data=data, curves={**curves_of(fitted), **latent_curves(study, latent)},
+    return Result(data=data, curves={**curves_of(fitted), **latent_curves(lack)},
                   model=fitted.model)  # type: ignore[arg-type]
 
 
@@ -172,27 +173,33 @@ def correlation_curves(fitted: Fitted) -> dict[str, np.ndarray]:
     }
 
 
-def latent_of(study: Study, fitted: Fitted) -> list[Latent]:
-    """Return the forces the joints lack, on short windows with the fitted parameters."""
-    short = windowed(fitted.problem, SHORT)
-    frozen = minimise_states(short, fitted)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lack:
+    """The forces the joints of a model lack, and the model (at its values) that lacks them."""
+
+    forces: tuple[Latent, ...]
+    model: Model
+
+
+def lack_of(fitted: Fitted) -> Lack:
+    """Return the forces that a fitted model's joints lack, on short windows.
+
+    The parameters are those that fit these windows best: a wrong model fitted to whole records has
+    its parameters bent by errors that add up, and the force would show those and not what is missing.
+    """
+    short = thinned(windowed(fitted.problem, SHORT), ENOUGH)
     try:
-        return latent_forces(*frozen)
+        near = minimise(short, fitted.estimate.theta, iterations=10, tolerance=1e-3)
+        model = at_values(short.model, short.parameters, near.theta)
+        frozen = replace(short, model=model, parameters=()), replace(near, theta=np.zeros(0))
+        return Lack(forces=tuple(latent_forces(*frozen)), model=model)
     except (NumericsError, np.linalg.LinAlgError):
-        return []
+        return Lack(forces=(), model=fitted.problem.model)
 
 
-def minimise_states(problem: Any, fitted: Fitted) -> Any:
-    """Estimate the windows' initial states at a fit's parameters."""
-    from dataclasses import replace
-
-    frozen = replace(problem, model=fitted.model, parameters=())
-    return frozen, minimise(frozen, np.zeros(0), iterations=10, tolerance=1e-3)
-
-
-def latent_curves(study: Study, latent: Sequence[Latent]) -> dict[str, np.ndarray]:
+def latent_curves(lack: Lack) -> dict[str, np.ndarray]:
     """Return the latent forces' curves."""
-    structure = study.model.structure
+    structure, latent = lack.model.structure, lack.forces
     curves: dict[str, np.ndarray] = {
         "latent.joints": np.array([f.joint for f in latent]),
         "latent.kinds": np.array(["hinge" if structure.joint(f.joint).hinge else "slide" for f in latent]),

@@ -44,6 +44,8 @@ PARTNERS = 3
 """Best single effects that get a partner, and partners tried from each screening."""
 SHOWN = 6
 """Candidates fitted on whole stretches and reported."""
+FEW = 3
+"""... where not even the best of them gains anything on windows."""
 LEAST_GAIN = 12.0
 """Smallest fall of the information criterion that is not chance."""
 LEAST_SHARE = 0.02
@@ -54,6 +56,8 @@ NOISE_LIKE = 1.25
 """A residual within this factor of the noise's variance is explained."""
 NAMED = 0.75
 """Share of the excess error a single effect or a pair must remove to be named."""
+NAMED_BESIDE = 0.3
+"""... where the model was refined before and only details can be left."""
 WELL_NAMED = 0.95
 """... beyond which no pair is looked for."""
 TOLD_APART = 10.0
@@ -92,7 +96,7 @@ class Diagnosis:
     notes: tuple[str, ...] = field(default=())
 
 
-def diagnose_study(study: Study, *, span: tuple[float, float] = (0.3, 0.95)) -> Diagnosis:
+def diagnose_study(study: Study, *, span: tuple[float, float] = (0.3, 0.95), named: float = NAMED) -> Diagnosis:
     """Find what is missing in a study's model.
 
     Parameters
@@ -101,6 +105,8 @@ def diagnose_study(study: Study, *, span: tuple[float, float] = (0.3, 0.95)) -> 
         Near its minimum on windows.
     span : (float, float)
         Share of the progress bar this takes.
+    named : float
+        Share of the excess error that an effect must remove to be named.
 
     Returns
     -------
@@ -127,7 +133,7 @@ def diagnose_study(study: Study, *, span: tuple[float, float] = (0.3, 0.95)) -> 
         fits = _best_with_blocks(base, [*fits, *_pairs(base, fits, candidates)])
     _report(options, span, "judging on data not used for the choice", 0.9)
     ranked = _ranked(base, judging, fits, max(len(candidates), 1))
-    verdict, sentence = _verdict(study, base, ranked)
+    verdict, sentence = _verdict(study, base, ranked, named)
     _report(options, span, "diagnosed", 1.0)
     long = base.fits["long"].squares / base.problems["long"].measurements()
     return Diagnosis(
@@ -214,7 +220,9 @@ def _with_siblings(base: Base, fits: list[Refit], scales: dict[Place, Scales]) -
 def _best_with_blocks(base: Base, fits: Sequence[Refit]) -> list[Refit]:
     """Keep the best candidates on windows, fit those on whole stretches, and sort them all."""
     horizons = ("short", "long")
-    promising = sorted(fits, key=lambda f: _score(base, f, horizons))[:SHOWN]
+    ordered = sorted(fits, key=lambda f: _score(base, f, horizons))
+    clear = bool(ordered) and _score(base, ordered[0], horizons) < -LEAST_GAIN
+    promising = ordered[: SHOWN if clear else FEW]
     done = [f if "block" in f.fits else with_block(base, f) for f in promising]
     return sorted(done, key=lambda f: _score(base, f, tuple(base.fits)))
 
@@ -326,12 +334,12 @@ def _alike(candidates: Sequence[Candidate], k: int) -> tuple[int, ...]:
     )
 
 
-def _verdict(study: Study, base: Base, ranked: Sequence[Candidate]) -> tuple[Verdict, str]:
+def _verdict(study: Study, base: Base, ranked: Sequence[Candidate], named: float) -> tuple[Verdict, str]:
     ratio = base.fits["long"].squares / base.problems["long"].measurements()
     if ranked and _real(base, ranked[0]):
         best = ranked[0]
         after = best.refit.fits["long"].squares / base.problems["long"].measurements()
-        if best.explained >= NAMED or after < NOISE_LIKE:
+        if best.explained >= named or after < NOISE_LIKE:
             return "effect_missing", _missing_sentence(study, best)
         return "unexplained", (
             "Something is missing that no effect of the catalogue explains: the best candidate, "

@@ -131,7 +131,7 @@ def refit(base: Base, inner: Problem, starts: Sequence[Start], scales: Scales, *
         The best; None if none can be simulated or none is plausible.
     """
     best: Refit | None = None
-    for start in [*starts, *_by_balance(inner, starts)]:
+    for start in _promising(base, inner, [*starts, *_by_balance(inner, starts)], scales):
         trial = with_candidate(inner, (start.placed,), scales)
         fits = _fit_horizons(base, trial, start_of(inner, start.theta, trial))
         if fits is None:
@@ -146,6 +146,23 @@ def refit(base: Base, inner: Problem, starts: Sequence[Start], scales: Scales, *
     return best
 
 
+def _promising(base: Base, inner: Problem, starts: Sequence[Start], scales: Scales) -> list[Start]:
+    """Keep the start that is best on long windows; two for an effect whose shape is fitted."""
+    if len(starts) < 2:
+        return list(starts)
+    costs = []
+    for start in starts:
+        trial = with_candidate(inner, (start.placed,), scales).with_windows(base.problems["long"].windows)
+        try:
+            fit = minimise(trial, start_of(inner, start.theta, trial), base.fits["long"].states, iterations=1)
+            costs.append(fit.chi2)
+        except (NumericsError, ModelError):
+            costs.append(float("inf"))
+    shaped = any(c.shape for c in starts[0].placed.effect.coefficients)
+    order = np.argsort(costs)[: 2 if shaped else 1]
+    return [starts[k] for k in order if np.isfinite(costs[k])]
+
+
 def _by_balance(inner: Problem, starts: Sequence[Start]) -> list[Start]:
     """Start once more from the force balance, where every joint is seen and the law is linear."""
     experiments = list({id(w.experiment): w.experiment for w in inner.windows}.values())
@@ -156,7 +173,7 @@ def _by_balance(inner: Problem, starts: Sequence[Start]) -> list[Start]:
     if not all(observable(inner.model, e) for e in experiments):
         return []
     trial = with_candidate(inner, (placed,))
-    width = float(widths(experiments)[2])
+    width = float(widths(experiments)[1])
     try:
         theta = balance(trial.model, trial.parameters, experiments, width,
                         hold=inner.windows[0].simulator.hold).theta
@@ -175,14 +192,14 @@ def _fit_horizons(base: Base, trial: Problem, start: np.ndarray) -> dict[str, Es
     brief = trial.with_windows(base.problems["short"].windows)
     long = trial.with_windows(base.problems["long"].windows)
     try:
-        short_fit = minimise(brief, start, base.fits["short"].states, iterations=10, tolerance=1e-3)
-        tried = [
-            minimise(long, t, base.fits["long"].states, iterations=10, tolerance=1e-3)
-            for t in (short_fit.theta, start)
-        ]
+        short_fit = minimise(brief, start, base.fits["short"].states, iterations=8, tolerance=2e-3)
+        long_fit = minimise(long, short_fit.theta, base.fits["long"].states, iterations=8, tolerance=2e-3)
+        if long_fit.chi2 > 0.9 * base.fits["long"].chi2:
+            other = minimise(long, start, base.fits["long"].states, iterations=8, tolerance=2e-3)
+            long_fit = min(long_fit, other, key=lambda e: e.chi2)
     except (NumericsError, ModelError):
         return None
-    return {"short": short_fit, "long": min(tried, key=lambda e: e.chi2)}
+    return {"short": short_fit, "long": long_fit}
 
 
 def with_block(base: Base, fit: Refit) -> Refit:
@@ -193,9 +210,11 @@ def with_block(base: Base, fit: Refit) -> Refit:
     tried = []
     for horizon in ("long", "short"):
         try:
-            tried.append(minimise(problem, fit.fits[horizon].theta, iterations=12, tolerance=1e-3))
+            tried.append(minimise(problem, fit.fits[horizon].theta, iterations=10, tolerance=2e-3))
         except (NumericsError, ModelError):
             continue
+        if tried[-1].chi2 < 0.5 * base.fits["block"].chi2:
+            break
     if not tried:
         return replace(fit, fits={**fit.fits, "block": base.fits["block"]})
     return replace(fit, fits={**fit.fits, "block": min(tried, key=lambda e: e.chi2)})

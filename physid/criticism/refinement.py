@@ -26,11 +26,12 @@ from physid.criticism.comparison import (
     Result,
     balance_row,
     correlation_curves,
+    Lack,
+    lack_of,
     latent_curves,
-    latent_of,
     parameters_of,
 )
-from physid.criticism.diagnosis import Candidate, Diagnosis, diagnose_study
+from physid.criticism.diagnosis import NAMED, NAMED_BESIDE, Candidate, Diagnosis, diagnose_study
 from physid.criticism.evidence import start_of, with_candidate
 from physid.criticism.localisation import where
 from physid.effects.catalogue import load_model_text
@@ -66,9 +67,10 @@ def diagnose(model: Model | str | os.PathLike[str], records: Sequence[object], *
     settings.report("finding where the model fails", 0.85)
     base = fit_study(study)
     best = _best_fit(study, found) if found.candidates else None
+    lack = lack_of(base)
     return Result(
-        data=diagnosis_data(study, found, base),
-        curves=diagnosis_curves(study, base, best),
+        data=diagnosis_data(study, found, base, lack),
+        curves=diagnosis_curves(study, base, best, lack),
         model=base.model,  # type: ignore[arg-type]
     )
 
@@ -79,17 +81,16 @@ def _best_fit(study: Study, found: Diagnosis) -> Fitted | None:
     return fit_study(with_effects(study, found.candidates[0]), from_windows=False)
 
 
-def diagnosis_data(study: Study, found: Diagnosis, base: Fitted) -> dict[str, Any]:
+def diagnosis_data(study: Study, found: Diagnosis, base: Fitted, lack: Lack) -> dict[str, Any]:
     """Return the contract's JSON object of a diagnosis."""
     rows = channel_rows(base.problem, base.estimate)
-    latent = latent_of(study, base)
     return {
         "schema": "physid.diagnosis/1",
         "verdict": found.verdict,
         "sentence": found.sentence,
         "channels": worst_channels(rows),
         "records": record_rows(base.problem, rows, "train"),
-        "where": where(base.problem, base.estimate, latent, []),
+        "where": where(base.problem, base.estimate, list(lack.forces), []),
         "parameters": parameters_of(base),
         "candidates": candidate_rows(study, found),
         "next_experiment": None,
@@ -124,7 +125,9 @@ def candidate_rows(study: Study, found: Diagnosis) -> list[dict[str, Any]]:
     return rows
 
 
-def diagnosis_curves(study: Study, base: Fitted, best: Fitted | None) -> dict[str, np.ndarray]:
+def diagnosis_curves(
+    study: Study, base: Fitted, best: Fitted | None, lack: Lack
+) -> dict[str, np.ndarray]:
     """Return the pictures' curves of a diagnosis."""
     shown = best or base
     curves = {
@@ -134,13 +137,13 @@ def diagnosis_curves(study: Study, base: Fitted, best: Fitted | None) -> dict[st
         **residual_curves(base.problem, base.estimate, "_before"),
         **residual_curves(shown.problem, shown.estimate),
         **spectrum_curves(base.problem, base.estimate, "before"),
-        **latent_curves(study, latent_of(study, base)),
+        **latent_curves(lack),
         **correlation_curves(shown),
     }
     if best is not None:
         curves |= record_curves(best.problem, best.estimate, "after")
         curves |= spectrum_curves(best.problem, best.estimate, "after")
-        curves |= law_curves(study, base, best)
+        curves |= law_curves(study, lack, best)
     return curves
 
 
@@ -197,7 +200,8 @@ def refine(model: Model | str | os.PathLike[str], records: Sequence[object], *, 
     for round_number in range(MOST_ROUNDS):
         width = 0.6 / MOST_ROUNDS
         begin = 0.3 + round_number * width
-        found = diagnose_study(study, span=(begin, begin + width))
+        named = NAMED if first is None else NAMED_BESIDE
+        found = diagnose_study(study, span=(begin, begin + width), named=named)
         first = first or found
         remaining = found.verdict
         if found.verdict != "effect_missing":
@@ -253,7 +257,7 @@ def _refinement(study: Study, tests: Sequence[Any], steps: list[Step], first: Di
     if steps[-1].tested is not None:
         records += record_rows(steps[-1].tested[0], channel_rows(*steps[-1].tested), "test")
     base = steps[0].fitted
-    latent = latent_of(study, base)
+    lack = lack_of(base)
     data = {
         "schema": "physid.refinement/1",
         "verdict": first.verdict,
@@ -264,7 +268,7 @@ def _refinement(study: Study, tests: Sequence[Any], steps: list[Step], first: Di
         "model": "refined.xml",
         "channels": worst_channels(train),
         "candidates": candidate_rows(study, first),
-        "where": where(base.problem, base.estimate, latent, []),
+        "where": where(base.problem, base.estimate, list(lack.forces), []),
         "force_balance": balance_row(last),
         "first_sentence": first.sentence,
         "notes": [*study.notes, *last.notes, *reread],
@@ -272,7 +276,7 @@ def _refinement(study: Study, tests: Sequence[Any], steps: list[Step], first: Di
     }
     if first.verdict != "effect_missing":
         data["sentence"] = first.sentence
-    return Refinement(data=data, curves=_refinement_curves(study, steps), model=last.model, xml=xml)  # type: ignore[arg-type]
+    return Refinement(data=data, curves=_refinement_curves(study, steps, lack), model=last.model, xml=xml)  # type: ignore[arg-type]
 
 
 def _from_file(step: Step, xml: str, tests: Sequence[Any]) -> tuple[Step, list[str]]:
@@ -313,10 +317,11 @@ def _step_row(step: Step) -> dict[str, Any]:
     }
 
 
-def _refinement_curves(study: Study, steps: Sequence[Step]) -> dict[str, np.ndarray]:
+def _refinement_curves(study: Study, steps: Sequence[Step], lack: Lack) -> dict[str, np.ndarray]:
     base, last = steps[0], steps[-1]
     trains = len(base.fitted.problem.windows)
-    curves = diagnosis_curves(study, base.fitted, last.fitted if len(steps) > 1 else None)
+    after = last.fitted if len(steps) > 1 else None
+    curves = diagnosis_curves(study, base.fitted, after, lack)
     if base.tested is not None and last.tested is not None:
         curves |= record_curves(*base.tested, "before", trains)
         if len(steps) > 1:
@@ -325,31 +330,37 @@ def _refinement_curves(study: Study, steps: Sequence[Step]) -> dict[str, np.ndar
     return curves
 
 
-def law_curves(study: Study, base: Fitted, best: Fitted) -> dict[str, np.ndarray]:
-    """Return the law of the first effect added at a joint, from the engine's inverse dynamics."""
+def law_curves(study: Study, lack: Lack, best: Fitted) -> dict[str, np.ndarray]:
+    """Return what the refined model adds at the joint of the first effect added at one.
+
+    It is the effect's law, together with what the joint's own damping and stiffness had done in its
+    place in the base model whose missing force is drawn; both from the engine's inverse dynamics.
+    """
     model: Model = best.model  # type: ignore[assignment]
-    before = {(p.effect.name, p.place) for p in base.problem.model.effects}
-    added = [p for p in model.effects if (p.effect.name, p.place) not in before and p.place.kind == "joint"]
+    before = {(p.effect.name, p.place) for p in lack.model.effects}
+    new = [p for p in model.effects if (p.effect.name, p.place) not in before]
+    added = [p for p in new if p.place.kind == "joint"]
     if not added:
         return {}
     placed = added[0]
     axis = "speed" if placed.effect.family == "friction" else "position"
     joint = model.structure.joint(placed.place.name)
-    states = np.concatenate([s.reshape(-1, s.shape[-1]) for s in best.estimate.states])
-    span = _span(study, joint.name, axis, states)
+    span = _span(study, joint.name, axis)
     step = best.problem.windows[0].simulator.step
-    without = replace(model, effects=tuple(p for p in model.effects if p is not placed))
-    forces = [_inverse_force(m, step, joint, axis, span) for m in (without, model)]
+    own = {k: v for k, v in lack.model.values.items() if k.startswith(model.structure.label(placed.place) + ".")}
+    kept = tuple(p for p in model.effects if p not in new or p.place != placed.place)
+    without = replace(model, effects=kept).with_values(own)
+    needed = [_inverse_force(m, step, joint, axis, span) for m in (without, model)]
     return {
         "law.x": span,
-        "law.y": forces[0] - forces[1],
+        "law.y": needed[0] - needed[1],
         "law.label": np.array(f"{placed.effect.name.replace('_', ' ')} at {joint.name}"),
         "law.joint": np.array(joint.name),
         "law.axis": np.array(axis),
     }
 
 
-def _span(study: Study, joint: str, axis: str, states: np.ndarray) -> np.ndarray:
+def _span(study: Study, joint: str, axis: str) -> np.ndarray:
     from physid.identification.experiment import ranges_of
 
     ranges = ranges_of(study.model, study.experiments)

@@ -36,8 +36,10 @@ def simulate(model: Model | str | os.PathLike[str], record: Record | str | os.Pa
         ``"mseq:stages=10,clock=0.01,amplitude=1"``; ``ACTUATOR=...`` in front names another.
     add : sequence of str
         Effects with values, ``EFFECT@LOCATION:parameter=value,...``.
-    hold : {"zero", "first"}
-        The input between samples.
+    hold : {"zero", "first", "smooth"}, optional
+        The input between samples: held (the default), joined by straight lines, or by a spline.
+    rename : mapping of str to str, optional
+        Column of the record to the name it stands for.
     seed : int
         Of random excitations.
 
@@ -56,7 +58,8 @@ def simulate(model: Model | str | os.PathLike[str], record: Record | str | os.Pa
     if (record is None) == (excite is None):
         raise InputError("Give either an input record (--input) or an excitation (--excite), not both or neither.")
     time, inputs, path = _inputs(loaded, record, excite, rename or {}, seed)
-    outputs = _simulated(loaded, time, inputs, "first" if hold == "first" else "zero")
+    held: Hold = hold if hold in ("first", "smooth") else "zero"  # type: ignore[assignment]
+    outputs = _simulated(loaded, time, inputs, held)
     names = [*loaded.structure.inputs, *(c.name for c in loaded.structure.channels)]
     return Record(time=time, columns=tuple(names), values=np.hstack([inputs, outputs]), path=path)
 
@@ -113,7 +116,7 @@ def _simulated(model: Model, time: np.ndarray, inputs: np.ndarray, hold: Hold) -
     if bad.any():
         at = float(time[int(np.flatnonzero(bad)[0])])
         raise DivergedError(
-            f"The simulation of {model.name} diverges at t = {at:.6g} s, joint {_fastest(model, coarse)} first; "
+            f"The simulation of {model.name} diverges at t = {at:.6g} s, joint '{_fastest(model, coarse)}' first; "
             "check the model's stiffness, damping and units."
         )
     return np.asarray(coarse.outputs[0])

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from physid.plant.effect import Coefficient, Effect, Scales, Trial, spec_element
-from physid.plant.model import write_delay
+from physid.plant.model import held_delay, write_delay
 from physid.plant.parameter import element_id
 from physid.plant.structure import Place, Structure
 
@@ -27,8 +27,13 @@ class Saturation(Effect):
     source = "MuJoCo actuator ctrlrange / forcerange"
     kinds = ("actuator",)
     coefficients = (
-        Coefficient(name="limit", unit="{f}", meaning="largest input (motor) or force (servo)", lower=1e-9,
-                    shape=True),
+        Coefficient(
+            name="limit",
+            unit="{f}",
+            meaning="largest input (motor) or force (servo)",
+            lower=1e-9,
+            shape=True,
+        ),
     )
     fractions: ClassVar[tuple[float, ...]] = (0.97, 0.85, 0.65, 0.45)
 
@@ -36,21 +41,32 @@ class Saturation(Effect):
         actuator = spec_element(spec, place)
         limit = values["limit"]
         if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE:
-            low, high = actuator.ctrlrange if actuator.ctrllimited == 1 else (-limit, limit)
-            actuator.ctrllimited = 1
-            actuator.ctrlrange = [max(low, -limit), min(high, limit)]
+            actuator.ctrlrange = _narrowed(actuator.ctrllimited, actuator.ctrlrange, limit)
+            actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE
         else:
-            actuator.forcelimited = 1
-            actuator.forcerange = [-limit, limit]
+            actuator.forcerange = _narrowed(actuator.forcelimited, actuator.forcerange, limit)
+            actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
 
     def trials(self, scales: Scales) -> Sequence[Trial]:
         return tuple(
-            Trial(columns=({"limit": fraction * scales.largest},), label=f"{fraction:g} of the largest")
+            Trial(
+                columns=({"limit": fraction * scales.largest},),
+                label=f"{fraction:g} of the largest",
+            )
             for fraction in self.fractions
         )
 
     def start(self, trial: Trial, amplitudes: np.ndarray, scales: Scales) -> dict[str, float]:
         return {"limit": trial.columns[0]["limit"]}
+
+
+def _narrowed(limited: int, given: Sequence[float], limit: float) -> list[float]:
+    """Return the part of a range, if there is one, that lies within -limit to limit."""
+    low, high = given
+    auto = limited == mujoco.mjtLimited.mjLIMITED_AUTO and low < high
+    if limited == mujoco.mjtLimited.mjLIMITED_TRUE or auto:
+        return [max(low, -limit), min(high, limit)]
+    return [-limit, limit]
 
 
 class DeadZone(Effect):
@@ -59,7 +75,9 @@ class DeadZone(Effect):
     name = "dead_zone"
     family = "actuation"
     law = "0 for |u| < width, u - sign(u) width beyond"
-    source = "Tao, Kokotovic, Adaptive control of plants with unknown dead-zones, IEEE TAC 39 (1994)"
+    source = (
+        "Tao, Kokotovic, Adaptive control of plants with unknown dead-zones, IEEE TAC 39 (1994)"
+    )
     kinds = ("actuator",)
     representation = "runtime"
     coefficients = (
@@ -70,12 +88,18 @@ class DeadZone(Effect):
     def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
         """Nothing: the input is conditioned before the engine sees it."""
 
+    def possible(self, model: mujoco.MjModel, structure: Structure, place: Place) -> bool:
+        return place.name in structure.inputs
+
     def condition(self, u: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
         return np.asarray(np.sign(u) * np.maximum(np.abs(u) - values["width"], 0.0))
 
     def trials(self, scales: Scales) -> Sequence[Trial]:
         return tuple(
-            Trial(columns=({"width": fraction * scales.largest},), label=f"{fraction:g} of the largest")
+            Trial(
+                columns=({"width": fraction * scales.largest},),
+                label=f"{fraction:g} of the largest",
+            )
             for fraction in self.fractions
         )
 
@@ -95,7 +119,8 @@ class InputDelay(Effect):
     samples: ClassVar[tuple[float, ...]] = (1.0, 4.0, 15.0)
 
     def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
-        write_delay(spec_element(spec, place), values["delay"], spec.option.timestep)
+        actuator, step = spec_element(spec, place), float(spec.option.timestep)
+        write_delay(actuator, held_delay(actuator, step) + values["delay"], step)
 
     def trials(self, scales: Scales) -> Sequence[Trial]:
         return tuple(
@@ -123,7 +148,9 @@ class ActuatorLag(Effect):
     samples: ClassVar[tuple[float, ...]] = (1.0, 5.0, 25.0)
 
     def possible(self, model: mujoco.MjModel, structure: Structure, place: Place) -> bool:
-        return bool(model.actuator_dyntype[element_id(model, place)] == int(mujoco.mjtDyn.mjDYN_NONE))
+        return bool(
+            model.actuator_dyntype[element_id(model, place)] == int(mujoco.mjtDyn.mjDYN_NONE)
+        )
 
     def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
         actuator = spec_element(spec, place)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import mujoco
 
@@ -23,6 +25,7 @@ from physid.errors import InputError, ModelError, available
 from physid.plant.effect import Effect, Placed
 from physid.plant.loading import read_spec
 from physid.plant.model import Model
+from physid.plant.parameter import write_unit
 from physid.plant.structure import KINDS, Place, Structure, structure_of
 
 CATALOGUE: tuple[Effect, ...] = (
@@ -43,6 +46,19 @@ CATALOGUE: tuple[Effect, ...] = (
     InputDelay(),
     ActuatorLag(),
 )
+
+LINEAR = {"f": "N", "x": "m", "v": "m/s", "m": "kg"}
+ANGULAR = {"f": "N m", "x": "rad", "v": "rad/s", "m": "kg m^2"}
+SIGNAL = {"f": "unit of u", "x": "unit of u", "v": "unit of u per s", "m": "1"}
+UNITS = {
+    "joint": (LINEAR, ANGULAR),
+    "tendon": (LINEAR, ANGULAR),
+    "hinge": (ANGULAR,),
+    "body": (LINEAR, ANGULAR),
+    "actuator": (SIGNAL,),
+    "sensor": (SIGNAL,),
+}
+"""Units of force, position, speed and inertia at every kind of place."""
 
 
 def effect_named(name: str) -> Effect:
@@ -139,6 +155,8 @@ def _settings(effect: Effect, text: str) -> dict[str, float]:
             found[key] = float(value)
         except ValueError:
             raise InputError(f"{effect.name}: {key}={value!r} is not a number.") from None
+        if not math.isfinite(found[key]):
+            raise InputError(f"{effect.name}: {key}={value} is not a finite number.")
         coefficient = next(c for c in effect.coefficients if c.name == key)
         if not coefficient.lower <= found[key] <= coefficient.upper:
             raise InputError(
@@ -208,15 +226,25 @@ def _take_stored(spec: mujoco.MjSpec) -> list[tuple[str, list[float]]]:
     return stored
 
 
-def describe(effect: Effect) -> Mapping[str, object]:
-    """Return an effect's entry of the catalogue as plain data."""
+def describe(effect: Effect) -> dict[str, Any]:
+    """Return an effect's entry of the catalogue as plain data.
+
+    A parameter's ``unit`` is that of every kind of place where the effect can sit: ``N or N m``.
+    """
+    places = ["hinge" if k == "joint" and effect.hinge_only else k for k in effect.kinds]
+    systems = [system for place in places for system in UNITS[place]]
     return {
         "name": effect.name,
         "family": effect.family,
-        "places": ["hinge" if k == "joint" and effect.hinge_only else k for k in effect.kinds],
+        "places": places,
         "law": effect.law,
         "parameters": [
-            {"name": c.name, "unit": c.unit, "description": c.meaning} for c in effect.coefficients
+            {
+                "name": c.name,
+                "unit": " or ".join(dict.fromkeys(write_unit(c.unit, s) for s in systems)),
+                "description": c.meaning,
+            }
+            for c in effect.coefficients
         ],
         "source": effect.source,
         "representation": effect.representation,
@@ -224,4 +252,12 @@ def describe(effect: Effect) -> Mapping[str, object]:
     }
 
 
-__all__ = ["CATALOGUE", "KINDS", "add_effects", "describe", "effect_named", "load_model", "places_of"]
+__all__ = [
+    "CATALOGUE",
+    "KINDS",
+    "add_effects",
+    "describe",
+    "effect_named",
+    "load_model",
+    "places_of",
+]

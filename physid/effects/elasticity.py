@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import numpy as np
 
-from physid.effects.native import edit_entry
 from physid.effects.friction import SMALL
+from physid.effects.native import edit_entry
 from physid.plant.effect import Coefficient, Effect, Scales, Trial
 from physid.plant.parameter import element_id
 from physid.plant.structure import Place, Structure
@@ -42,7 +42,9 @@ class LinearStiffness(Effect):
     source = "Hooke 1678; MuJoCo joint/tendon stiffness"
     kinds = ("joint", "tendon")
     contained_in = "stiffness"
-    coefficients = (Coefficient(name="stiffness", unit="{f}/{x}", meaning="force per displacement"),)
+    coefficients = (
+        Coefficient(name="stiffness", unit="{f}/{x}", meaning="force per displacement"),
+    )
 
     def possible(self, model: mujoco.MjModel, structure: Structure, place: Place) -> bool:
         return stiffness_of(model, place) == 0.0

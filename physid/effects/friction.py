@@ -40,9 +40,7 @@ class ViscousDamping(Effect):
     source = "Stokes 1851; MuJoCo joint/tendon damping"
     kinds = ("joint", "tendon")
     contained_in = "damping"
-    coefficients = (
-        Coefficient(name="damping", unit="{f}/({v})", meaning="force per speed"),
-    )
+    coefficients = (Coefficient(name="damping", unit="{f}/({v})", meaning="force per speed"),)
 
     def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
         edit_entry(spec, place, "damping", 0, values["damping"])
@@ -140,7 +138,11 @@ class StribeckFriction(Effect):
         Coefficient(name="force", unit="{f}", meaning="sliding friction Fc"),
         Coefficient(name="static_force", unit="{f}", meaning="friction Fs at the edge of rest"),
         Coefficient(
-            name="stribeck_velocity", unit="{v}", meaning="speed vs of the fall", lower=1e-6, shape=True
+            name="stribeck_velocity",
+            unit="{v}",
+            meaning="speed vs of the fall",
+            lower=1e-6,
+            shape=True,
         ),
     )
     speeds: ClassVar[tuple[float, ...]] = (0.05, 0.15, 0.4)
@@ -199,12 +201,12 @@ class QuadraticDrag(Effect):
     law = "-c v |v|"
     source = "Rayleigh 1876; MuJoCo polynomial damping, second coefficient"
     kinds = ("joint",)
-    coefficients = (Coefficient(name="drag", unit="{f}/({v})^2", meaning="force per speed squared"),)
+    coefficients = (
+        Coefficient(name="drag", unit="{f}/({v})^2", meaning="force per speed squared"),
+    )
 
     def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
         edit_entry(spec, place, "damping", 1, values["drag"])
 
     def trials(self, scales: Scales) -> Sequence[Trial]:
         return (Trial(columns=({"drag": SMALL * scales.force / scales.speed**2},)),)
-
-

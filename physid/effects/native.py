@@ -7,14 +7,11 @@ import mujoco
 from physid.plant.effect import spec_element
 from physid.plant.structure import Place
 
-
 NO_INPUT = 16
 """The engine's ``ctrlspec`` of an actuator with ``input="none"``."""
 
 
-def edit_entry(
-    spec: mujoco.MjSpec, place: Place, attribute: str, order: int, value: float
-) -> None:
+def edit_entry(spec: mujoco.MjSpec, place: Place, attribute: str, order: int, value: float) -> None:
     """Add to one coefficient of a polynomial spring or damper.
 
     Parameters
@@ -41,9 +38,10 @@ def add_passive_force(
     It is the cogging torque of a passive, unpowered motor element; zero periods with a phase of a
     quarter turn make it constant (MuJoCo documentation, actuator/dcmotor).
     """
-    actuator = spec.add_actuator(
-        name=f"{effect}@{place.name}", target=place.name, trntype=mujoco.mjtTrn.mjTRN_JOINT
-    )
+    name = f"{effect}@{place.name}"
+    while spec.actuator(name) is not None:
+        name += "+"  # a refined file may be refined again
+    actuator = spec.add_actuator(name=name, target=place.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     actuator.dyntype = mujoco.mjtDyn.mjDYN_DCMOTOR
     actuator.gaintype = mujoco.mjtGain.mjGAIN_DCMOTOR
     actuator.biastype = mujoco.mjtBias.mjBIAS_DCMOTOR

@@ -20,11 +20,11 @@ class ConstantLoad(Effect):
     name = "constant_load"
     family = "structure"
     law = "F"
-    source = "Janot, Gautier, Brunot, EMPS benchmark (2019), eq. 3 (offset); written as a passive motor"
-    kinds = ("joint",)
-    coefficients = (
-        Coefficient(name="force", unit="{f}", meaning="constant force", lower=-np.inf),
+    source = (
+        "Janot, Gautier, Brunot, EMPS benchmark (2019), eq. 3 (offset); written as a passive motor"
     )
+    kinds = ("joint",)
+    coefficients = (Coefficient(name="force", unit="{f}", meaning="constant force", lower=-np.inf),)
 
     def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
         add_passive_force(spec, place, self.name, values["force"], 0.0, 0.5 * np.pi)

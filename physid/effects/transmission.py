@@ -29,7 +29,7 @@ def play(x, v, t, p):  # type: ignore[no-untyped-def]
 
 
 class Backlash(Effect):
-    """Play: inside a gap neither the spring nor its damper acts; beyond it they act from the gap's edge.
+    """Play: inside a gap neither spring nor damper acts; beyond it they act from the gap's edge.
 
     ``gap`` is the whole free travel.  On a joint only its own spring is interrupted: its damper is
     taken to be the bearing's.  The law is written as a correction of the model's spring (k) and
@@ -39,12 +39,12 @@ class Backlash(Effect):
     name = "backlash"
     family = "transmission"
     law = "no force while |x| < gap/2; -k (x -+ gap/2) - d v beyond"
-    source = "Nordin, Gutman, Controlling mechanical systems with backlash, Automatica 38 (2002), eq. 2"
+    source = (
+        "Nordin, Gutman, Controlling mechanical systems with backlash, Automatica 38 (2002), eq. 2"
+    )
     kinds = ("tendon", "joint")
     representation = "runtime"
-    coefficients = (
-        Coefficient(name="gap", unit="{x}", meaning="whole free travel", shape=True),
-    )
+    coefficients = (Coefficient(name="gap", unit="{x}", meaning="whole free travel", shape=True),)
     fractions: ClassVar[tuple[float, ...]] = (0.05, 0.25, 0.8, 1.6)
 
     def possible(self, model: mujoco.MjModel, structure: Structure, place: Place) -> bool:
@@ -72,7 +72,9 @@ class Backlash(Effect):
 
     def trials(self, scales: Scales) -> Sequence[Trial]:
         return tuple(
-            Trial(columns=({"gap": fraction * scales.position},), label=f"{fraction:g} of rms travel")
+            Trial(
+                columns=({"gap": fraction * scales.position},), label=f"{fraction:g} of rms travel"
+            )
             for fraction in self.fractions
         )
 
@@ -86,12 +88,16 @@ class Cogging(Effect):
     name = "cogging"
     family = "transmission"
     law = "a sin(n q + phase)"
-    source = "Hanselman, Brushless permanent magnet motor design (2003), ch. 5; MuJoCo dcmotor cogging"
+    source = (
+        "Hanselman, Brushless permanent magnet motor design (2003), ch. 5; MuJoCo dcmotor cogging"
+    )
     kinds = ("joint",)
     hinge_only = True
     coefficients = (
         Coefficient(name="amplitude", unit="{f}", meaning="size of the ripple"),
-        Coefficient(name="periods", unit="1", meaning="periods per turn, whole", lower=1.0, fixed=True),
+        Coefficient(
+            name="periods", unit="1", meaning="periods per turn, whole", lower=1.0, fixed=True
+        ),
         Coefficient(name="phase", unit="rad", meaning="angle at q = 0", lower=-np.inf, shape=True),
     )
     most_periods: ClassVar[int] = 36
@@ -102,9 +108,7 @@ class Cogging(Effect):
         )
 
     def trials(self, scales: Scales) -> Sequence[Trial]:
-        return tuple(
-            ripple_trial(SMALL * scales.force, n) for n in range(2, self.most_periods + 1)
-        )
+        return tuple(ripple_trial(SMALL * scales.force, n) for n in range(2, self.most_periods + 1))
 
     def start(self, trial: Trial, amplitudes: np.ndarray, scales: Scales) -> dict[str, float]:
         size, phase = polar(trial.columns[0]["amplitude"] * amplitudes)
@@ -115,7 +119,8 @@ def ripple_trial(size: float, periods: int) -> Trial:
     """Return sine and cosine directions of a ripple [N m] with whole periods per turn."""
     return Trial(
         columns=tuple(
-            {"amplitude": size, "periods": float(periods), "phase": phase} for phase in (0.0, 0.5 * np.pi)
+            {"amplitude": size, "periods": float(periods), "phase": phase}
+            for phase in (0.0, 0.5 * np.pi)
         ),
         label=f"n = {periods}",
     )

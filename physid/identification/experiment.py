@@ -78,8 +78,10 @@ def as_experiment(model: Model, source: object, rename: Mapping[str, str] | None
         )
     outputs = record.select([structure.channels[k].name for k in measured])
     if not np.any(np.ptp(outputs, axis=0) > 0):
+        names = ", ".join(structure.channels[k].name for k in measured)
         raise RecordError(
-            f"Nothing moves in {record.path}: every measured output is constant; give a record with motion."
+            f"Nothing moves in {record.path}: every measured output is constant ({names}); "
+            "give a record with motion."
         )
     inputs = record.select(structure.inputs) if structure.inputs else np.zeros((record.samples, 0))
     return Experiment(

@@ -13,6 +13,8 @@ from physid.identification.staged import LONG, fit_whole, fit_windows, on_whole_
 from physid.identification.study import Study, at_values
 from physid.identification.uncertainty import Uncertainty, uncertainty_of
 
+CLOSING_POINTS = 8000
+"""Most instants per record in the force balance of a result."""
 AGREEMENT = 1e-6
 """Largest difference between the back ends, relative to the outputs' spread, that confirms a result."""
 
@@ -102,7 +104,7 @@ def closing_balance(fitted: Fitted) -> Balance | None:
     for width in widths(experiments):
         try:
             tried = balance(problem.model, problem.parameters, experiments, float(width), hold=hold,
-                            theta=fitted.estimate.theta)
+                            points=CLOSING_POINTS, theta=fitted.estimate.theta)
         except (np.linalg.LinAlgError, ValueError):
             continue
         model = at_values(problem.model, problem.parameters, tried.theta)

@@ -1,7 +1,7 @@
 """The force balance: which joint's equation of motion does not close, and linear estimates from it.
 
-Positions are smoothed by a Gaussian and its derivatives; the engine's inverse dynamics gives the
-force each joint needs; what the actuators give is subtracted (inverse-dynamics identification:
+Positions are smoothed narrowly by a Gaussian and differenced; the engine's inverse dynamics gives
+the force each joint needs; what the actuators give is subtracted, and both sides are low-pass filtered (inverse-dynamics identification:
 Gautier, Khalil, Direct calculation of minimum set of inertial parameters, IEEE TRA 6, 1990; the input
 is filtered alike, as in Janot, Vandanjon, Gautier, IEEE TCST 22, 2014).  Needs every joint's position
 measured.  Several widths are tried; noise in the regressors biases narrow ones, wide ones smear.
@@ -24,8 +24,8 @@ from physid.plant.model import Model, Plant
 from physid.plant.parameter import Parameter
 from physid.plant.simulation import Hold, between_samples, delayed
 
-POINTS = 1200
-"""Most instants used per record."""
+POINTS = 2400
+"""Most instants used per record; the closing balance of a result uses more."""
 NUMBER_OF_WIDTHS = 6
 """Smoothing widths tried, from two samples to a 25th of the motion's period."""
 
@@ -75,15 +75,21 @@ def observable(model: Model, experiment: Experiment) -> bool:
     )
 
 
-def motion_of(model: Model, experiment: Experiment, plant: Plant, width: float, hold: Hold) -> Motion:
-    """Smooth a record's motion with a Gaussian of standard deviation ``width`` [s]."""
-    dt, sd = experiment.dt, width / experiment.dt
+def motion_of(model: Model, experiment: Experiment, plant: Plant, width: float, hold: Hold, points: int) -> Motion:
+    """Smooth a record's motion by a Gaussian of standard deviation ``width`` [s], wide enough for the
+    instants picked.
+    """
+    dt = experiment.dt
+    sd = max(2.0, width / dt, 0.7 * max(1, experiment.samples // points))
     inverse = np.linalg.pinv(kinematics_of(model, experiment.channels).position)
     q = experiment.outputs @ inverse.T
     edge = int(np.ceil(4 * sd)) + 1
-    stride = max(1, (len(q) - 2 * edge) // POINTS)
+    stride = max(1, experiment.samples // points)
     keep = slice(edge, max(len(q) - edge, edge + 1), stride)
-    smooth = [gaussian_filter1d(q, sd, axis=0, order=k) / dt**k for k in range(3)]
+    # Differences of the smoothed signal: a sampled derivative kernel would let the position leak in.
+    smooth = [gaussian_filter1d(q, sd, axis=0)]
+    for _ in range(2):
+        smooth.append(np.gradient(smooth[-1], dt, axis=0))
     inputs = _centred_inputs(experiment, plant, hold)
     filtered = gaussian_filter1d(inputs, sd, axis=0) if inputs.shape[1] else inputs
     return Motion(
@@ -136,7 +142,7 @@ def _steady_activation(model: mujoco.MjModel, ctrl: np.ndarray) -> np.ndarray:
 
 
 def balance(model: Model, parameters: Sequence[Parameter], experiments: Sequence[Experiment],
-            width: float, *, hold: Hold = "zero", theta: np.ndarray | None = None) -> Balance:
+            width: float, *, hold: Hold = "zero", points: int = POINTS, theta: np.ndarray | None = None) -> Balance:
     """Estimate parameters by weighted least squares on the force balance.
 
     Parameters
@@ -149,7 +155,10 @@ def balance(model: Model, parameters: Sequence[Parameter], experiments: Sequence
     hold : {"zero", "first", "smooth"}
         The input between samples.
     width : float
-        Standard deviation of the smoothing Gaussian [s].
+        Standard deviation of the smoothing Gaussian [s].  Both sides of the balance are then filtered
+        three times as wide: laws are evaluated first, so signs and gaps stay sharp.
+    points : int
+        Instants used per record, at most.
     theta : ndarray (p,), optional
         Start.
 
@@ -160,14 +169,15 @@ def balance(model: Model, parameters: Sequence[Parameter], experiments: Sequence
     theta = np.array([p.value for p in parameters]) if theta is None else theta.copy()
     step = min(e.dt for e in experiments)
     start = model.compile(step)
-    motions = [motion_of(model, e, start, width, hold) for e in experiments]
+    motions = [motion_of(model, e, start, width, hold, points) for e in experiments]
 
     def residual(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         named = {p.name: float(v) for p, v in zip(parameters, values, strict=True)}
         plant = model.with_values(named).compile(step)
         with run_time_laws([plant]):
             parts = [missing_force(plant, m, mujoco.MjData(plant.model)) for m in motions]
-        return np.vstack([p[0] for p in parts]), np.vstack([p[1] for p in parts])
+        filtered = [[_low_pass(f, m, 3.0 * width) for f in part] for part, m in zip(parts, motions, strict=True)]
+        return np.vstack([p[0] for p in filtered]), np.vstack([p[1] for p in filtered])
 
     std = np.full(len(theta), np.nan)
     for _ in range(2 if len(theta) else 0):
@@ -188,6 +198,12 @@ def balance(model: Model, parameters: Sequence[Parameter], experiments: Sequence
         force=-left,
         width=width,
     )
+
+
+def _low_pass(force: np.ndarray, motion: Motion, width: float) -> np.ndarray:
+    """Filter forces (n, nv) with a Gaussian of standard deviation ``width`` [s]."""
+    step = float(motion.time[1] - motion.time[0]) if len(motion.time) > 1 else 1.0
+    return np.asarray(gaussian_filter1d(force, width / step, axis=0))
 
 
 def _inertial_size(plant: Plant, motions: Sequence[Motion]) -> np.ndarray:

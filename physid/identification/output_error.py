@@ -25,6 +25,8 @@ from physid.plant.parameter import Parameter
 FILTER = int(mujoco.mjtDyn.mjDYN_FILTER)
 HIDDEN = 1e-7
 """Singular values of an initial state below this share of the largest are not estimated."""
+HUGE = 1e100
+"""Larger parameters no longer change the size of a step: their squares would overflow."""
 FARTHEST = 5.0
 """Longest step of a parameter in multiples of its size."""
 SHARES = (1.0, 1.0, 0.4, 0.15, 0.05, 0.015, 0.004)
@@ -201,7 +203,7 @@ def differences(problem: Problem, theta: np.ndarray, states: list[np.ndarray],
     """
     free = state_indices(problem.model)
     steps = parameter_steps(problem.parameters, theta)
-    scales = state_scales(problem)
+    scales = state_scales(problem.model, states)
     thetas = [theta + step * np.eye(len(theta))[k] for k, step in enumerate(steps)]
     moved = [states] * len(thetas)
     for i, index in enumerate(free):
@@ -275,11 +277,10 @@ def parameter_steps(parameters: Sequence[Parameter], theta: np.ndarray) -> np.nd
     return np.where(over, -steps, steps)
 
 
-def state_scales(problem: Problem) -> np.ndarray:
+def state_scales(model: Model, states: list[np.ndarray]) -> np.ndarray:
     """Return typical sizes of the free initial states (nx,)."""
-    free = state_indices(problem.model)
-    stacked = np.concatenate(problem.states())[:, free]
-    scales = np.abs(stacked).max(axis=0)
+    free = state_indices(model)
+    scales = np.abs(np.concatenate(states)[:, free]).max(axis=0)
     half = len(free) // 2
     for part in (slice(0, half), slice(half, None)):
         scales[part] = np.maximum(scales[part], 1e-2 * scales[part].max(initial=0.0))
@@ -388,6 +389,7 @@ def _step(problem: Problem, point: Linearisation, theta: np.ndarray, damping: fl
         return np.zeros(0), max(total, 0.0)
     hessian, descent = normal_equations(problem, point, theta)
     sizes = np.array([max(abs(t), p.scale) for p, t in zip(problem.parameters, theta, strict=True)])
+    sizes = np.minimum(sizes, HUGE)
     weights = np.diag(hessian) * sizes**2
     scale = np.sqrt(np.maximum(weights, 1e-20 * max(weights.max(), 1e-300))) / sizes
     scaled = hessian / np.outer(scale, scale)
@@ -418,7 +420,7 @@ def divergence_sentence(problem: Problem, residuals: list[np.ndarray]) -> str:
         joint = _runaway_joint(problem, windows, w)
         return (
             f"The simulation of {problem.model.name} along {windows.experiment.path} diverges at "
-            f"t = {at:.6g} s, joint {joint} first; check the model's stiffness, damping and units, or "
+            f"t = {at:.6g} s, joint '{joint}' first; check the model's stiffness, damping and units, or "
             "give a shorter record."
         )
     return f"The simulation of {problem.model.name} diverges."

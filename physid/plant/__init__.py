@@ -1,1 +1,1 @@
-"""physid.plant"""
+"""What is believed of a rig: structure, parameters, effects, and its simulation."""

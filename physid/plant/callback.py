@@ -2,13 +2,14 @@
 
 MuJoCo calls ``mjcb_passive(model, data)`` at every evaluation, so laws are integrated by the engine
 itself, RK4 stages included.  The callback reads its laws from a table at the end of the model's
-numeric data.  Where MuJoCo keeps its arrays is found by scanning the structs of a probe model, so no
-layout is assumed; a number drawn afresh in each process marks the tables, so a table in a file from
-elsewhere is never obeyed.
+numeric data.  Where MuJoCo keeps its arrays is found by scanning the structs of a probe model, so
+no layout is assumed; a number drawn afresh in each process marks the tables, so a table in a file
+from elsewhere is never obeyed.
 """
 
 from __future__ import annotations
 
+import ctypes
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,7 +19,7 @@ from typing import Any
 import mujoco
 import numba
 import numpy as np
-from numba import types
+from numba import carray, types  # type: ignore[attr-defined]
 
 from physid.errors import NumericsError
 from physid.plant.law import call_law, pointer_at
@@ -34,8 +35,9 @@ def fill_table(plant: Plant, mark: float) -> None:
     table = model.numeric_data
     address_of = {int(model.jnt_dofadr[j]): int(model.jnt_qposadr[j]) for j in range(model.njnt)}
     for e, element in enumerate(plant.elements):
-        joints = [(address_of[d], d, element.row[d]) for d in np.flatnonzero(element.row)]
-        entry = [element.address, element.offset, len(joints), element.constants.size]
+        moved = [int(d) for d in np.flatnonzero(element.row)]
+        joints = [(address_of[d], d, float(element.row[d])) for d in moved]
+        entry: list[float] = [element.address, element.offset, len(joints), element.constants.size]
         entry += [number for joint in joints for number in joint]
         entry += list(element.constants)
         start = table.size - 2 - ELEMENT_WIDTH * (e + 1)
@@ -61,7 +63,7 @@ def run_time_laws(plants: list[Plant]) -> Iterator[None]:
 
 
 def _find_pointer(address: int, target: int, words: int = 60000) -> int:
-    memory = np.ctypeslib.as_array((np.ctypeslib.ctypes.c_uint64 * words).from_address(address))
+    memory = np.ctypeslib.as_array((ctypes.c_uint64 * words).from_address(address))
     for i in range(words):
         if memory[i] == target:
             while memory[i + 1] == target:
@@ -78,9 +80,7 @@ def _callback() -> tuple[Any, float]:
         "<joint name='j' type='slide'/><geom size='1'/></body></worldbody></mujoco>"
     )
     data = mujoco.MjData(probe)
-    model_words = np.ctypeslib.as_array(
-        (np.ctypeslib.ctypes.c_int64 * 200).from_address(probe._address)
-    )
+    model_words = np.ctypeslib.as_array((ctypes.c_int64 * 200).from_address(probe._address))
     size_at = int(np.flatnonzero(model_words == marker)[0])
     numbers_at = _find_pointer(probe._address, probe.numeric_data.ctypes.data)
     qpos_at = _find_pointer(data._address, data.qpos.ctypes.data)
@@ -88,26 +88,26 @@ def _callback() -> tuple[Any, float]:
     force_at = _find_pointer(data._address, data.qfrc_passive.ctypes.data)
     mujoco.mj_step(probe, data)
     data.time = 12345.678
-    words = np.ctypeslib.as_array((np.ctypeslib.ctypes.c_double * 60000).from_address(data._address))
+    words = np.ctypeslib.as_array((ctypes.c_double * 60000).from_address(data._address))
     time_at = int(np.flatnonzero(words == data.time)[0])
     mark = float(np.random.default_rng().uniform(1e9, 1e12))
     width, header = ELEMENT_WIDTH, _HEADER
 
     @numba.cfunc(types.void(types.uintp, types.uintp))
     def passive(model_address, data_address):  # type: ignore[no-untyped-def]
-        model = numba.carray(pointer_at(np.int64(model_address)), (numbers_at + 1,)).view(np.int64)
-        state = numba.carray(pointer_at(np.int64(data_address)), (force_at + time_at,))
+        model = carray(pointer_at(np.int64(model_address)), (numbers_at + 1,)).view(np.int64)
+        state = carray(pointer_at(np.int64(data_address)), (force_at + time_at,))
         state_words = state.view(np.int64)
         size = model[size_at]
         if size < 2:
             return
-        table = numba.carray(pointer_at(model[numbers_at]), (size,))
+        table = carray(pointer_at(model[numbers_at]), (size,))
         if table[size - 2] != mark:
             return
         nv = model[1]
-        qpos = numba.carray(pointer_at(state_words[qpos_at]), (model[0],))
-        qvel = numba.carray(pointer_at(state_words[qvel_at]), (nv,))
-        force = numba.carray(pointer_at(state_words[force_at]), (nv,))
+        qpos = carray(pointer_at(state_words[qpos_at]), (model[0],))
+        qvel = carray(pointer_at(state_words[qvel_at]), (nv,))
+        force = carray(pointer_at(state_words[force_at]), (nv,))
         base = model[numbers_at]
         for e in range(int(table[size - 1])):
             start = size - 2 - width * (e + 1)

@@ -24,8 +24,8 @@ class Coefficient:
     """One parameter of an effect.
 
     ``unit`` is written with ``{f}``, ``{x}`` and ``{v}`` for the force, position and speed units of
-    the place.  ``shape`` marks one that bends the law (a gap, a delay, a speed) rather than scales it;
-    ``fixed`` marks one that is chosen from a grid and not fitted (a whole number of periods).
+    the place.  ``shape`` marks one that bends the law (a gap, a delay, a speed) rather than scales
+    it; ``fixed`` marks one that is chosen from a grid and not fitted (a whole number of periods).
     """
 
     name: str
@@ -108,7 +108,9 @@ class Effect(ABC):
     def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
         """Write the effect into an MJCF specification (nothing, for a pure run-time law)."""
 
-    def undo(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
+    def undo(  # noqa: B027 - most effects have nothing to take back
+        self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]
+    ) -> None:
         """Take back from a written file what a run-time effect had put into it natively."""
 
     def elements(
@@ -130,11 +132,11 @@ class Effect(ABC):
         return {}
 
     def plausible(self, values: Mapping[str, float], scales: Scales) -> bool:
-        """Say whether fitted values still are this effect, and not a shape that imitates another."""
+        """Say whether fitted values still are this effect, and do not imitate another."""
         return True
 
     def contains(self, inner: Placed) -> dict[str, float] | None:
-        """Return this effect's values that equal another effect, or None if it does not contain it."""
+        """Return this effect's values that equal another one, or None if it does not contain it."""
         return None
 
     def start(self, trial: Trial, amplitudes: np.ndarray, scales: Scales) -> dict[str, float]:
@@ -142,7 +144,10 @@ class Effect(ABC):
         return {
             c.name: float(
                 np.clip(
-                    sum(a * column[c.name] for a, column in zip(amplitudes, trial.columns, strict=True)),
+                    sum(
+                        a * column[c.name]
+                        for a, column in zip(amplitudes, trial.columns, strict=True)
+                    ),
                     c.lower if np.isfinite(c.lower) else -np.inf,
                     c.upper,
                 )

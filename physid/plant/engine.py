@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 import mujoco
 import numpy as np
@@ -50,13 +51,24 @@ def simulate_engine(
     models = [plant.model for plant in plants for _ in range(windows)]
     data = [mujoco.MjData(models[0]) for _ in range(threads)]
     begin = np.concatenate(
-        [_full_states(plant, x, starts, substeps, data[0]) for plant, x in zip(plants, initial, strict=True)]
+        [
+            _full_states(plant, x, starts, substeps, data[0])
+            for plant, x in zip(plants, initial, strict=True)
+        ]
     )
     command = np.concatenate([_slices(u, starts, steps, substeps) for u in controls])
-    with run_time_laws(list(plants)), rollout.Rollout(nthread=threads if threads > 1 else 0) as pool:
-        state, sensors = pool.rollout(models, data, begin, command if command.shape[2] else None, nstep=steps)
+    with (
+        run_time_laws(list(plants)),
+        without_warnings(),
+        rollout.Rollout(nthread=threads if threads > 1 else 0) as pool,
+    ):
+        state, sensors = pool.rollout(
+            models, data, begin, command if command.shape[2] else None, nstep=steps
+        )
     size = plants[0].model.nq + plants[0].model.nv + plants[0].model.na
-    states = np.concatenate([begin[:, None, 1 : 1 + size], state[:, substeps - 1 : -1 : substeps, 1 : 1 + size]], axis=1)
+    states = np.concatenate(
+        [begin[:, None, 1 : 1 + size], state[:, substeps - 1 : -1 : substeps, 1 : 1 + size]], axis=1
+    )
     times = np.concatenate([begin[:, None, 0], state[:, substeps - 1 : -1 : substeps, 0]], axis=1)
     outputs = sensors[:, ::substeps].copy()
     _blank_diverged(times, states, outputs)
@@ -64,6 +76,20 @@ def simulate_engine(
         (outputs[k * windows : (k + 1) * windows], states[k * windows : (k + 1) * windows])
         for k in range(len(plants))
     ]
+
+
+@contextmanager
+def without_warnings() -> Iterator[None]:
+    """Keep the engine from printing its warnings and from writing them to MUJOCO_LOG.TXT.
+
+    A divergence shows as rows of NaN; the sentence about it is the caller's.
+    """
+    former = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda message: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(former)
 
 
 def _full_states(

@@ -1,4 +1,4 @@
-"""Force laws: one compiled function each, called by the engine, the compiled back end and the pictures.
+"""Force laws: one compiled function each, called by engine, compiled back end and pictures.
 
 A law is a C function ``f(x, v, t, p) -> force`` of a coordinate ``x`` [m or rad], its rate ``v``
 [m/s or rad/s], the time ``t`` [s] and a pointer ``p`` to its constants.  It is stated once, with
@@ -13,13 +13,12 @@ from typing import Any
 
 import numba
 import numpy as np
-from llvmlite import ir
+from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.extending import intrinsic
 
-LAW_SIGNATURE = types.float64(
-    types.float64, types.float64, types.float64, types.CPointer(types.float64)
-)
+_NUMBERS: Any = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
+LAW_SIGNATURE = types.float64(types.float64, types.float64, types.float64, _NUMBERS)
 
 
 def force_law(function: Callable[..., float]) -> Any:
@@ -38,12 +37,9 @@ def force_law(function: Callable[..., float]) -> Any:
     return numba.cfunc(LAW_SIGNATURE, cache=True, error_model="numpy")(function)
 
 
-@intrinsic
-def call_law(typingctx, address, x, v, t, constants):  # type: ignore[no-untyped-def]
+def _call_law(typingctx, address, x, v, t, constants):  # type: ignore[no-untyped-def]
     """Call the law at an address from compiled code (a plain C call, about 2 ns)."""
-    signature = types.float64(
-        types.int64, types.float64, types.float64, types.float64, types.CPointer(types.float64)
-    )
+    signature = types.float64(types.int64, types.float64, types.float64, types.float64, _NUMBERS)
 
     def codegen(context, builder, _signature, arguments):  # type: ignore[no-untyped-def]
         double = ir.DoubleType()
@@ -54,15 +50,18 @@ def call_law(typingctx, address, x, v, t, constants):  # type: ignore[no-untyped
     return signature, codegen
 
 
-@intrinsic
-def pointer_at(typingctx, address):  # type: ignore[no-untyped-def]
+def _pointer_at(typingctx, address):  # type: ignore[no-untyped-def]
     """Turn an integer address into a pointer to doubles."""
-    signature = types.CPointer(types.float64)(types.int64)
+    signature = _NUMBERS(types.int64)
 
     def codegen(context, builder, _signature, arguments):  # type: ignore[no-untyped-def]
         return builder.inttoptr(arguments[0], ir.DoubleType().as_pointer())
 
     return signature, codegen
+
+
+call_law: Any = intrinsic(_call_law)
+pointer_at: Any = intrinsic(_pointer_at)
 
 
 @numba.njit(cache=True)
@@ -72,7 +71,9 @@ def _evaluate(address, x, v, t, constants, out):  # type: ignore[no-untyped-def]
         out[i] = call_law(address, x[i], v[i], t[i], pointer)
 
 
-def evaluate(law: Any, x: np.ndarray, v: np.ndarray, t: np.ndarray, constants: np.ndarray) -> np.ndarray:
+def evaluate(
+    law: Any, x: np.ndarray, v: np.ndarray, t: np.ndarray, constants: np.ndarray
+) -> np.ndarray:
     """Evaluate a law on arrays.
 
     Parameters
@@ -90,6 +91,12 @@ def evaluate(law: Any, x: np.ndarray, v: np.ndarray, t: np.ndarray, constants: n
         Force on the coordinate [N or N m].
     """
     out = np.empty_like(x, dtype=float)
-    _evaluate(law.address, x.astype(float), v.astype(float), t.astype(float),
-              np.ascontiguousarray(constants, dtype=float), out)
+    _evaluate(
+        law.address,
+        x.astype(float),
+        v.astype(float),
+        t.astype(float),
+        np.ascontiguousarray(constants, dtype=float),
+        out,
+    )
     return out

@@ -36,7 +36,9 @@ def read_spec(path: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
     except ValueError as error:
         raise ModelError(f"{path} does not compile: {_one_line(error)}.") from None
     if model.nv == 0:
-        raise ModelError(f"{path} has no joint, so nothing in it moves; add a hinge or slide joint.")
+        raise ModelError(
+            f"{path} has no joint, so nothing in it moves; add a hinge or slide joint."
+        )
     return spec, notes
 
 
@@ -64,5 +66,7 @@ def _name_elements(spec: mujoco.MjSpec) -> tuple[str, ...]:
                 element.name = name
                 taken.add(name)
                 if kind != "body":
-                    notes.append(f"The model's {kind} number {number} has no name; it is called {name}.")
+                    notes.append(
+                        f"The model's {kind} number {number} has no name; it is called {name}."
+                    )
     return tuple(notes)

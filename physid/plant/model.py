@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from typing import Any
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -23,13 +24,13 @@ from physid.plant.parameter import (
     units_of,
     write_unit,
 )
-from physid.plant.structure import Place, Structure, structure_of
+from physid.plant.structure import Structure, structure_of
 
 ELEMENT_TABLE = "physid:elements"
 """Name of the table of run-time force laws in a compiled model; never written to a file."""
 ELEMENT_WIDTH = 64
 """Numbers reserved per run-time force law."""
-LINEAR = 1  # the engine's code for linear interpolation of a delayed input
+HELD, LINEAR = 0, 1  # the engine's codes for how a delayed input is interpolated
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,16 +69,23 @@ class Model:
     values: Mapping[str, float] = field(default_factory=dict)
     effects: tuple[Placed, ...] = ()
     notes: tuple[str, ...] = ()
+    derived: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
+    """What was computed from ``spec``, once for all models that share it."""
 
-    @cached_property
+    @property
     def nominal(self) -> mujoco.MjModel:
         """The MJCF compiled as it stands."""
-        return self.spec.copy().compile()
+        if "nominal" not in self.derived:
+            self.derived["nominal"] = self.spec.copy().compile()
+        return self.derived["nominal"]
 
-    @cached_property
+    @property
     def structure(self) -> Structure:
         """Names and shapes of the model."""
-        return structure_of(self.nominal)
+        if "structure" not in self.derived:
+            self.derived["structure"] = structure_of(self.nominal)
+        found: Structure = self.derived["structure"]
+        return found
 
     @property
     def dt(self) -> float:
@@ -129,7 +137,10 @@ class Model:
     def effect_parameters(self) -> list[str]:
         """List the names of all fitted coefficients of the model's effects."""
         return [
-            self.coefficient_name(p, c) for p in self.effects for c in p.effect.coefficients if not c.fixed
+            self.coefficient_name(p, c)
+            for p in self.effects
+            for c in p.effect.coefficients
+            if not c.fixed
         ]
 
     def every_parameter(self) -> list[Parameter]:
@@ -137,8 +148,20 @@ class Model:
         return [self.parameter(name) for name, _, _ in every_name(self.structure)]
 
     def with_values(self, values: Mapping[str, float]) -> Model:
-        """Return the model with some parameter values replaced (MJCF's and effects' alike)."""
-        plain = {k: float(v) for k, v in values.items() if "@" not in k}
+        """Return the model with some parameter values replaced (MJCF's and effects' alike).
+
+        Raises
+        ------
+        ModelError
+            If a name does not exist; the sentence lists those there are.
+        """
+        plain = {}
+        for name, value in values.items():
+            if "@" in name:
+                self._coefficient(name)
+                continue
+            place, attribute = split_name(name, self.structure)
+            plain[f"{self.structure.label(place)}.{attribute}"] = float(value)
         placed = tuple(
             p.with_values(
                 {
@@ -178,12 +201,14 @@ class Model:
         delays = _take_delays(spec, self.structure, timestep)
         runtime = [p for p in self.effects if p.effect.representation == "runtime"]
         if runtime:
-            spec.add_numeric(name=ELEMENT_TABLE, size=ELEMENT_WIDTH * 2 * len(runtime) + 2,
-                             data=np.zeros(1))
+            spec.add_numeric(
+                name=ELEMENT_TABLE, size=ELEMENT_WIDTH * 2 * len(runtime) + 2, data=np.zeros(1)
+            )
         try:
             model = spec.compile()
         except ValueError as error:
-            raise ModelError(f"MuJoCo refuses {self.name} at the values tried: {error}.") from None
+            reason = " ".join(str(error).split()).rstrip(".")
+            raise ModelError(f"MuJoCo refuses {self.name} at the values tried: {reason}.") from None
         return Plant(
             model=model,
             elements=tuple(e for p in runtime for e in p.effect.elements(model, p.place, p.values)),
@@ -204,26 +229,32 @@ class Model:
             if actuator.dyntype == mujoco.mjtDyn.mjDYN_FILTEREXACT:
                 # The exact step formula is meant for Euler; inside RK4 the plain filter is exact.
                 actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTER
+            if actuator.interp != HELD:
+                write_delay(actuator, held_delay(actuator, self.dt), timestep)
         parsed = [(split_name(name, self.structure), value) for name, value in self.values.items()]
-        for place in {place for (place, _), _ in parsed if place.kind == "body"}:
-            self._make_inertial_explicit(spec.body(place.name), place)
+        if any(place.kind == "body" for (place, _), _ in parsed):
+            self._make_inertials_explicit(spec)
         for (place, attribute), value in parsed:
             ATTRIBUTES[place.kind, attribute].write(spec_element(spec, place), value)
         for placed in self.effects:
             placed.effect.edit(spec, placed.place, placed.values)
         return spec
 
-    def _make_inertial_explicit(self, body: object, place: Place) -> None:
-        i = element_id(self.nominal, place)
-        for attribute, value in (
-            ("mass", float(self.nominal.body_mass[i])),
-            ("ipos", self.nominal.body_ipos[i].copy()),
-            ("iquat", self.nominal.body_iquat[i].copy()),
-            ("inertia", self.nominal.body_inertia[i].copy()),
-            ("fullinertia", np.full(6, np.nan)),
-            ("explicitinertial", True),
-        ):
-            setattr(body, attribute, value)
+    def _make_inertials_explicit(self, spec: mujoco.MjSpec) -> None:
+        """Write every body's inertia out, so that nothing the compiler infers overrides a value."""
+        spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+        spec.compiler.settotalmass = -1.0
+        for place in self.structure.of_kind("body"):
+            i = element_id(self.nominal, place)
+            for attribute, value in (
+                ("mass", float(self.nominal.body_mass[i])),
+                ("ipos", self.nominal.body_ipos[i].copy()),
+                ("iquat", self.nominal.body_iquat[i].copy()),
+                ("inertia", self.nominal.body_inertia[i].copy()),
+                ("fullinertia", np.full(6, np.nan)),
+                ("explicitinertial", True),
+            ):
+                setattr(spec.body(place.name), attribute, value)
 
     def to_xml(self, timestep: float) -> str:
         """Write the model as MJCF, with run-time effects as ``<custom>`` entries ``physid:...``.
@@ -250,32 +281,42 @@ def _take_delays(spec: mujoco.MjSpec, structure: Structure, timestep: float) -> 
     """Move the actuators' delays out of the engine: inputs are shifted exactly beforehand."""
     delays = np.zeros(len(structure.inputs))
     for actuator in spec.actuators:
-        if actuator.delay > 0:
-            lead = 0.5 * timestep if actuator.interp == LINEAR else 0.0
-            for k, name in enumerate(structure.inputs):
-                if name == actuator.name:
-                    delays[k] = max(actuator.delay - lead, 0.0)
-            actuator.delay = 0.0
-            actuator.nsample = 0
+        delay = held_delay(actuator, timestep)
+        for k, name in enumerate(structure.inputs):
+            if delay > 0 and name in (actuator.name, f"{actuator.name}.0", f"{actuator.name}.1"):
+                delays[k] = delay
+        actuator.delay = 0.0
+        actuator.nsample = 0
     return delays
 
 
-def write_delay(actuator: object, delay: float, timestep: float) -> None:
-    """Give an actuator a pure delay in the engine's own terms.
+def held_delay(actuator: Any, timestep: float) -> float:
+    """Return by how much an actuator delays a held input [s], at the step its delay is written for.
 
-    The engine interpolates its samples of the input linearly, which leads a held input by half a
-    step; the half step is added so that the file behaves as the held input delayed by ``delay``.
+    The engine interpolates its samples of the input, which leads a held input by half a step.
+    """
+    lead = 0.0 if actuator.interp == HELD else 0.5 * timestep
+    return max(float(actuator.delay) - lead, 0.0)
+
+
+def write_delay(actuator: Any, delay: float, timestep: float) -> None:
+    """Make an actuator delay a held input by ``delay`` [s], in the engine's own terms.
+
+    The half step by which the engine's interpolation leads is added.
     """
     if delay <= 0:
         return
-    actuator.delay = delay + 0.5 * timestep  # type: ignore[attr-defined]
-    actuator.nsample = int(math.ceil(delay / timestep)) + 3  # type: ignore[attr-defined]
-    actuator.interp = LINEAR  # type: ignore[attr-defined]
+    actuator.delay = delay + 0.5 * timestep
+    actuator.nsample = math.ceil(delay / timestep) + 3
+    actuator.interp = LINEAR
 
 
-def fitted_names(model: Model, names: Sequence[str]) -> list[str]:
-    """Return canonical parameter names for what a user wrote."""
-    return [model.parameter(name).name for name in names]
-
-
-__all__ = ["ELEMENT_TABLE", "ELEMENT_WIDTH", "Model", "Plant", "fitted_names", "sharpen_friction", "write_delay"]
+__all__ = [
+    "ELEMENT_TABLE",
+    "ELEMENT_WIDTH",
+    "Model",
+    "Plant",
+    "held_delay",
+    "sharpen_friction",
+    "write_delay",
+]

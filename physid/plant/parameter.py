@@ -56,16 +56,6 @@ class Parameter:
 
 
 @dataclass(frozen=True, slots=True)
-class Inertial:
-    """Mass [kg], centre of mass [m] and principal inertia [kg m^2] of a body as the MJCF has them."""
-
-    mass: float
-    position: np.ndarray
-    orientation: np.ndarray
-    inertia: np.ndarray
-
-
-@dataclass(frozen=True, slots=True)
 class Attribute:
     """One editable attribute: unit, how to read it from a compiled model, how to write it."""
 
@@ -98,13 +88,18 @@ def sharpen_friction(element: Any) -> None:
     """Make a joint's or tendon's native friction loss nearly exact.
 
     MuJoCo's defaults smear Coulomb friction over a viscous band of about 20 mm/s, which a fit would
-    confuse with damping; a time constant of zero is raised by the engine to two steps, its smallest.
+    confuse with damping; the engine raises a time constant below two steps to two steps.
     """
     element.solref_friction[:] = (0.0005, 1.0)
     element.solimp_friction[:3] = (0.999, 0.9999, 0.001)
 
 
 def _factor_mass(body: Any, value: float) -> None:
+    if not body.mass:
+        raise ModelError(
+            f"{body.name} has no mass in the model, so {body.name}.mass cannot scale its inertia; "
+            "give the body a geom or an inertial with mass."
+        )
     body.inertia[:] = np.asarray(body.inertia) * (value / body.mass)
     body.mass = value
 

@@ -15,10 +15,11 @@ import mujoco
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from physid.plant.engine import simulate_engine
+from physid.plant.assembly import agrees, network_of
 from physid.plant.callback import run_time_laws
+from physid.plant.engine import simulate_engine
 from physid.plant.model import Model, Plant
-from physid.plant.network import agrees, integrate, network_of
+from physid.plant.network import integrate
 from physid.plant.structure import Structure
 
 Hold = Literal["zero", "first", "smooth"]
@@ -104,7 +105,7 @@ class Simulator:
         fine = between_samples(inputs, self.substeps, self.hold)
         for k, placed in plant.conditioners:
             fine[:, k] = placed.effect.condition(fine[:, k], placed.values)
-        for k in np.flatnonzero(plant.delays):
+        for k in np.flatnonzero(plant.delays).tolist():
             fine[:, k] = delayed(fine[:, k], plant.delays[k] / self.step)
         return np.ascontiguousarray(fine)
 
@@ -164,9 +165,17 @@ class Simulator:
         accelerations = [np.empty((len(starts), samples, nv)) for _ in initial]
 
         def one(k: int) -> None:
-            integrate(networks[k], np.ascontiguousarray(initial[k]), controls[k],
-                      np.asarray(starts, dtype=np.int64), samples, self.substeps, self.step,
-                      states[k], accelerations[k])
+            integrate(
+                networks[k],
+                np.ascontiguousarray(initial[k]),
+                controls[k],
+                np.asarray(starts, dtype=np.int64),
+                samples,
+                self.substeps,
+                self.step,
+                states[k],
+                accelerations[k],
+            )
 
         if self.threads > 1 and len(plants) > 1:
             with ThreadPoolExecutor(self.threads) as pool:
@@ -176,9 +185,7 @@ class Simulator:
                 one(k)
         if any(_leaves_limits(plant.model, x) for plant, x in zip(plants, states, strict=True)):
             return None
-        return [
-            Rollout(self._outputs(x, a), x) for x, a in zip(states, accelerations, strict=True)
-        ]
+        return [Rollout(self._outputs(x, a), x) for x, a in zip(states, accelerations, strict=True)]
 
     def _outputs(self, states: np.ndarray, accelerations: np.ndarray) -> np.ndarray:
         nv = self.structure.nv

@@ -170,7 +170,11 @@ def _sensor_unit(model: mujoco.MjModel, i: int) -> str:
 def _channels(model: mujoco.MjModel) -> tuple[Channel, ...]:
     found = []
     for i in range(model.nsensor):
-        name, dim, address = model.sensor(i).name, int(model.sensor_dim[i]), int(model.sensor_adr[i])
+        name, dim, address = (
+            model.sensor(i).name,
+            int(model.sensor_dim[i]),
+            int(model.sensor_adr[i]),
+        )
         unit = _sensor_unit(model, i)
         for k in range(dim):
             suffix = "" if dim == 1 else "." + ("xyz"[k] if dim == 3 else str(k))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import plotly.graph_objects as go
 
-from physid.report.notation import percent, significant
+from physid.report.notation import percent, share, significant
 from physid.report.reading import Array
 from physid.report.style import (
     AFTER,
@@ -119,7 +119,7 @@ def shares(names: Sequence[str], values: Sequence[float], *, height: int = 0) ->
             x=[100.0 * v for v in values],
             y=list(range(len(names))),
             orientation="h",
-            text=[percent(v) for v in values],
+            text=[share(v) for v in values],
             textposition="outside",
             textfont={"color": INK},
             cliponaxis=False,
@@ -320,4 +320,42 @@ def correlation(names: Sequence[str], matrix: Array) -> go.Figure:
     drawn.add_trace(trace.update(xgap=2, ygap=2, colorbar={"thickness": 10}, **words))
     drawn.update_yaxes(autorange="reversed", scaleanchor="x", constrain="domain", gridcolor=GRID)
     drawn.update_xaxes(constrain="domain", gridcolor=GRID)
+    return drawn
+
+
+def force_map(
+    positions: Sequence[tuple[float, float]],
+    speeds: Sequence[tuple[float, float]],
+    forces: Array,
+    *,
+    titles: tuple[str, str, str] = ("position", "speed", "missing force"),
+    height: int = 300,
+) -> go.Figure:
+    """Draw the mean missing force over cells of position and speed.
+
+    Parameters
+    ----------
+    positions, speeds : sequence of (low, high)
+        Edges of the cells, m or rad, and m/s or rad/s.
+    forces : array of float, shape (speeds, positions)
+        N or N m; NaN where nothing was measured.
+    titles : (str, str, str)
+        Names of position, speed and force with their units.
+    height : int
+        Pixels.
+
+    Returns
+    -------
+    plotly.graph_objects.Figure
+    """
+    drawn = figure(height)
+    limit = float(np.nanmax(np.abs(forces), initial=0.0)) or 1.0
+    colors = [[0.0, BEFORE], [0.5, PAPER], [1.0, AFTER]]
+    ticks = [[f"{a:.3g} … {b:.3g}" for a, b in cells] for cells in (positions, speeds)]
+    trace = go.Heatmap(z=forces, x=ticks[0], y=ticks[1], zmin=-limit, zmax=limit)
+    bar = {"thickness": 10, "title": {"text": safe(titles[2]), "side": "right"}}
+    words = {"texttemplate": "%{z:.3g}", "hoverinfo": "skip"}
+    drawn.add_trace(trace.update(colorscale=colors, xgap=2, ygap=2, colorbar=bar, **words))
+    drawn.update_xaxes(axis(safe(titles[0]), type="category", showgrid=False))
+    drawn.update_yaxes(axis(safe(titles[1]), type="category", showgrid=False))
     return drawn

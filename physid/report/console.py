@@ -16,7 +16,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from physid.report import tables
-from physid.report.reading import Result, kind, mapping, mappings, texts
+from physid.report.reading import Result, kind, mapping, mappings, notes
 from physid.report.summary import summarise
 
 _COLORS = {"good": "green", "warn": "yellow", "plain": "cyan", "": ""}
@@ -105,7 +105,7 @@ def _records(result: Result) -> Text:
 def _notes(result: Result) -> Text:
     """Return the notes, one per line."""
     body = Text()
-    for note in texts(result.get("notes")):
+    for note in notes(result):
         body.append("note ", style="dim")
         body.append(note + "\n")
     return body

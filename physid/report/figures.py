@@ -17,6 +17,7 @@ from physid.report.bars import (
     correlation,
     deviations,
     error_steps,
+    force_map,
     joint_shares,
     parameter_intervals,
     ranking,
@@ -40,12 +41,15 @@ from physid.report.style import (
 __all__ = [
     "acf",
     "any_known",
+    "binned_means",
     "ccf",
     "correlation",
     "correlation_test",
+    "course",
     "crowded_window",
     "deviations",
     "error_steps",
+    "force_map",
     "joint_shares",
     "latent_force",
     "overlay",
@@ -156,6 +160,29 @@ def _add_residuals(
     )
 
 
+def course(time: Array, values: Array, *, title: str = "", height: int = 260) -> go.Figure:
+    """Draw one signal over time.
+
+    Parameters
+    ----------
+    time, values : array of float, shape (n,)
+        Instants [s] and the signal in its unit.
+    title : str
+        The vertical axis.
+    height : int
+        Pixels.
+
+    Returns
+    -------
+    plotly.graph_objects.Figure
+    """
+    drawn = figure(height, showlegend=False)
+    drawn.add_trace(line(time, values, title, AFTER))
+    drawn.update_xaxes(axis(SECONDS))
+    drawn.update_yaxes(axis(safe(title)))
+    return drawn
+
+
 def latent_force(
     panels: Sequence[tuple[str, Array]],
     force: Array,
@@ -172,7 +199,7 @@ def latent_force(
     panels : sequence of (title, values of shape (m,))
         One panel each: speed, position, time.
     force : array of float, shape (m,)
-        The missing force or torque from the force balance [N or N m].
+        The missing force or torque [N or N m].
     force_title : str
         The vertical axis.
     law : (panel, x, y, label), optional
@@ -186,14 +213,17 @@ def latent_force(
     -------
     plotly.graph_objects.Figure
     """
-    drawn = figure(height, showlegend=law is not None)
+    drawn = figure(height)
     count, gap = len(panels), 0.05
     for i, (title, values) in enumerate(panels):
         x, y = thin(values, force)
         name = f"x{i + 1}" if i else "x"
         points = {"size": 3.5, "color": QUIET, "opacity": 0.55}
         trace = go.Scatter(x=x, y=y, mode="markers", marker=points, xaxis=name)
-        drawn.add_trace(trace.update(name="force balance", showlegend=i == 0))
+        drawn.add_trace(trace.update(name="single pulses", showlegend=i == 0))
+        middles, means = binned_means(values, force)
+        mean = line(middles, means, "their mean", BEFORE, width=2.2, xaxis=name)
+        drawn.add_trace(mean.update(showlegend=i == 0))
         width = (1.0 - gap * (count - 1)) / count
         left = i * (width + gap)
         settings = axis(safe(title), domain=[left, min(left + width, 1.0)], zeroline=True)
@@ -206,6 +236,28 @@ def latent_force(
         curve = line(x, y, label or "fitted law", AFTER, width=3)
         drawn.add_trace(curve.update(xaxis=f"x{panel + 1}" if panel else "x"))
     return drawn
+
+
+def binned_means(values: Array, force: Array, bins: int = 20) -> tuple[Array, Array]:
+    """Return the middles and means of bins that hold equally many points.
+
+    Parameters
+    ----------
+    values, force : array of float, shape (m,)
+        Where, and what is averaged.
+    bins : int
+        At most so many; each holds ten points at least.
+
+    Returns
+    -------
+    (array, array) of shape (bins,)
+    """
+    known = np.isfinite(values) & np.isfinite(force)
+    order = np.argsort(values[known], kind="stable")
+    groups = np.array_split(order, max(min(bins, order.size // 10), 1))
+    found = [(values[known][g].mean(), force[known][g].mean()) for g in groups if g.size]
+    middles, means = np.array(found).reshape(-1, 2).T
+    return middles, means
 
 
 def robust_range(values: Array) -> tuple[float, float]:

@@ -109,6 +109,13 @@ def percent(fraction: float | None, digits: int = 2) -> str:
     return _signed(f"{value:.{max(digits - 1 - _exponent(value, digits), 0)}f}") + f"{NO_BREAK}%"
 
 
+def share(fraction: float | None) -> str:
+    """Write a part of a whole: ``38 %``, ``0.4 %``, ``< 0.1 %``."""
+    if fraction is not None and 0.0 < fraction < 0.001:
+        return f"<{NO_BREAK}0.1{NO_BREAK}%"
+    return percent(fraction)
+
+
 def percent_pair(before: float | None, after: float | None) -> tuple[str, str]:
     """Write two percentages with as many digits as it takes to tell them apart."""
     for digits in (2, 3, 4):

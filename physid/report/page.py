@@ -10,9 +10,19 @@ from plotly.offline import get_plotlyjs
 
 from physid.report import figures
 from physid.report.layout import Picture, picture
-from physid.report.reading import Curves, Result, kind, mappings, number, text, worst
+from physid.report.reading import (
+    Curves,
+    Result,
+    kind,
+    mappings,
+    number,
+    record_names,
+    text,
+    worst,
+)
 from physid.report.runs import first_picture
 from physid.report.sections import sections
+from physid.report.singles import first_column
 from physid.report.style import DARK
 from physid.report.summary import Summary, summarise
 from physid.report.tables import step_name
@@ -44,7 +54,7 @@ def render(result: Result, curves: Curves) -> str:
             kind=kind(result),
             summary=summary,
             size=_size(summary),
-            left=first_picture(result, curves, _FIRST_HEIGHT),
+            left=_main_picture(result, curves),
             right=_error_picture(result),
             sections=sections(result, curves),
             subtitle=_subtitle(result),
@@ -52,6 +62,13 @@ def render(result: Result, curves: Curves) -> str:
             dark=DARK,
         )
     )
+
+
+def _main_picture(result: Result, curves: Curves) -> Picture | None:
+    """Draw the picture that carries the answer."""
+    if kind(result) == "simulation":
+        return first_column(curves, _FIRST_HEIGHT)
+    return first_picture(result, curves, _FIRST_HEIGHT)
 
 
 @lru_cache(maxsize=1)
@@ -82,11 +99,11 @@ def _size(summary: Summary) -> str:
 def _subtitle(result: Result) -> str:
     """Name the records the page is about."""
     records = mappings(result.get("records"))
+    known = record_names(result)
     roles = {"train": "trained on", "test": "tested on"}
     parts = []
     for role, words in roles.items():
-        paths = [text(r.get("path")) for r in records if r.get("role") == role]
-        names = [path.replace("\\", "/").rsplit("/", 1)[-1] for path in paths]
+        names = [known[text(r.get("path"))] for r in records if r.get("role") == role]
         if names:
             more = f" and {len(names) - 2} more" if len(names) > 2 else ""
             parts.append(f"{words} {', '.join(names[:2])}{more}")

@@ -23,6 +23,8 @@ SCHEMAS = {
     "physid.diagnosis/1": "diagnosis",
     "physid.refinement/1": "refinement",
     "physid.check/1": "check",
+    "physid.simulation/1": "simulation",
+    "physid.effects/1": "catalogue",
 }
 
 
@@ -36,6 +38,32 @@ def text(value: object, default: str = "") -> str:
     if not isinstance(value, str):
         return default
     return "".join(c if c.isprintable() or c == "\n" else "\ufffd" for c in value)
+
+
+def record_names(result: Result) -> dict[str, str]:
+    """Return, for every record's path, the shortest tail of it that no other record shares.
+
+    A page is sent to others: it shows which record is meant, not where it lies on one's disk.
+    """
+    paths = list(dict.fromkeys(text(r.get("path")) for r in mappings(result.get("records"))))
+    parts = {path: path.replace("\\", "/").split("/") for path in paths}
+    names = {}
+    for path, own in parts.items():
+        others = [other for key, other in parts.items() if key != path]
+        length = next(
+            (n for n in range(1, len(own)) if all(o[-n:] != own[-n:] for o in others)), len(own)
+        )
+        names[path] = "/".join(own[-length:])
+    return names
+
+
+def notes(result: Result) -> list[str]:
+    """Return the notes of a result, with records by their short names."""
+    names = record_names(result)
+    found = texts(result.get("notes"))
+    for path in sorted(names, key=len, reverse=True):
+        found = [note.replace(path, names[path]) if path else note for note in found]
+    return found
 
 
 def number(value: object) -> float | None:

@@ -10,7 +10,7 @@ import numpy as np
 from physid.report import figures
 from physid.report.layout import Block, Picture, picture
 from physid.report.notation import percent, short
-from physid.report.reading import Array, Curves, Result, array, kind, mappings, text
+from physid.report.reading import Array, Curves, Result, array, kind, mappings, record_names, text
 from physid.report.tables import channels, without_empty
 from physid.report.words import capital
 
@@ -79,7 +79,7 @@ def _column(curves: Curves, key: str, channel: int, count: int) -> Array | None:
 def runs(result: Result, curves: Curves) -> Iterator[Run]:
     """Yield every channel of every record that the curves hold."""
     records = mappings(result.get("records"))
-    named = mappings(result.get("channels"))
+    named, names = mappings(result.get("channels")), record_names(result)
     count = array(curves, "records", 0)
     total = int(np.clip(count, 0, 10_000)) if count is not None else len(records)
     for index in range(total):
@@ -98,7 +98,7 @@ def runs(result: Result, curves: Curves) -> Iterator[Run]:
                 channel=channel,
                 name=text(entry.get("name"), f"channel {channel + 1}"),
                 unit=text(entry.get("unit")),
-                path=text(record.get("path")),
+                path=names.get(text(record.get("path")), ""),
                 role=text(record.get("role")),
                 time=time,
                 measured=column,
@@ -164,11 +164,11 @@ def record_blocks(result: Result, curves: Curves) -> list[Block]:
         caption += " Double-click for the whole record." if window is not None else ""
         drawn.setdefault(run.record, []).append(picture(shown, run.name, caption.strip()))
     blocks = []
-    records = mappings(result.get("records"))
+    records, names = mappings(result.get("records")), record_names(result)
     for index in range(max(len(records), max(drawn, default=-1) + 1)):
         record = records[index] if index < len(records) else {}
         role = {"test": "Test record", "train": "Training record"}.get(str(record.get("role")))
-        path = text(record.get("path"), str(index + 1))
+        path = names.get(text(record.get("path"))) or str(index + 1)
         blocks.append(
             Block(
                 heading=f"{role or 'Record'} {path}",

@@ -17,18 +17,24 @@ from physid.report.reading import (
     labels,
     mapping,
     mappings,
+    notes,
     number,
     text,
-    texts,
     worst,
 )
 from physid.report.runs import labels as model_labels
 from physid.report.runs import record_blocks
+from physid.report.singles import families, simulated_columns
 from physid.report.words import capital, effects_phrase
 
 
 def sections(result: Result, curves: Curves) -> list[Section]:
     """Return the sections that have content, in the order of the page."""
+    if kind(result) == "simulation":
+        found = [simulated_columns(result, curves), _notes(result)]
+        return [one for one in found if one is not None]
+    if kind(result) == "catalogue":
+        return families(result)
     found = [
         _steps(result),
         _where(result, curves),
@@ -84,10 +90,7 @@ def _where(result: Result, curves: Curves) -> Section | None:
     blocks = [
         Block(pictures=tuple(drawn), columns=min(len(drawn), 3) or 1),
         *_latent(result, curves),
-        Block(
-            heading="By position and speed",
-            table=tables.generic(where.get("position_speed")),
-        ),
+        *_force_map(where.get("position_speed"), curves),
     ]
     lead = "How the error of the base model is shared among joints, times and frequencies, and "
     lead += "which force its equations of motion lack."
@@ -97,9 +100,9 @@ def _where(result: Result, curves: Curves) -> Section | None:
 def _joint_units(curves: Curves, index: int) -> tuple[str, str, str]:
     """Return the units of position, speed and force of a latent joint."""
     kinds = labels(curves, "latent.kinds")
-    if index < len(kinds) and kinds[index] == "hinge":
+    if 0 <= index < len(kinds) and kinds[index] == "hinge":
         return " [rad]", " [rad/s]", " [N m]"
-    if index < len(kinds) and kinds[index] == "slide":
+    if 0 <= index < len(kinds) and kinds[index] == "slide":
         return " [m]", " [m/s]", " [N]"
     return "", "", ""
 
@@ -118,10 +121,39 @@ def _latent(result: Result, curves: Curves) -> list[Block]:
         for _, joint, force, units in found
         if (shown := _latent_picture(result, curves, joint, force, units, _limits(found, units[2])))
     ]
-    words = "Each point is one instant: the force that the joint's equation of motion lacks, as "
-    words += "the measured motion demands it. A pattern against speed is friction or damping, "
-    words += "against position a spring, gravity or a gap."
+    words = "Each point is a short push on the joint: the one with which the base model, fitted "
+    words += "as well as it goes, would follow the record. Single pushes are noisy, their mean is "
+    words += "not. A pattern against speed is friction or damping, against position a spring, "
+    words += "gravity or a gap."
     return [Block(heading="The missing force", text=words, pictures=tuple(drawn))] if drawn else []
+
+
+def _force_map(entries: object, curves: Curves) -> list[Block]:
+    """Return the mean missing force over cells of position and speed, as a picture."""
+    cells = [(_edges(e.get("position")), _edges(e.get("speed")), e) for e in mappings(entries)]
+    positions = sorted({q for q, v, _ in cells if q and v})
+    speeds = sorted({v for q, v, _ in cells if q and v})
+    if not positions:
+        return []
+    forces = np.full((len(speeds), len(positions)), np.nan)
+    for q, v, entry in cells:
+        value = number(entry.get("force"))
+        if q and v and value is not None:
+            forces[speeds.index(v), positions.index(q)] = value
+    joints, name = labels(curves, "latent.joints"), text(cells[0][2].get("joint"))
+    units = _joint_units(curves, joints.index(name) if name in joints else -1)
+    titles = ("position" + units[0], "speed" + units[1], "missing" + units[2])
+    drawn = figures.force_map(positions, speeds, forces, titles=titles)
+    shown = picture(drawn, f"Joint {name}" if name else "", "The mean in each cell.")
+    return [Block(heading="By position and speed", pictures=(shown,), columns=2)]
+
+
+def _edges(value: object) -> tuple[float, float] | None:
+    """Return a (low, high) pair, None for anything else."""
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        return None
+    low, high = number(value[0]), number(value[1])
+    return None if low is None or high is None else (low, high)
 
 
 def _limits(
@@ -350,7 +382,7 @@ def _residuals(result: Result, curves: Curves) -> Section | None:
         Block(heading="Spectrum of the residual", pictures=spectra, columns=2),
     ]
     lead = "If nothing is missing, the residual is noise: it correlates neither with itself nor "
-    lead += "with the input, and both curves stay inside the shaded 99 % band but for one lag in a "
+    lead += "with the input. Noise alone leaves the shaded band, anywhere, in one record of a "
     lead += "hundred."
     return section("residuals", "Is the residual only noise?", lead, blocks)
 
@@ -358,7 +390,7 @@ def _residuals(result: Result, curves: Curves) -> Section | None:
 def _notes(result: Result) -> Section | None:
     """Return the notes and the settings of the simulation."""
     blocks = [
-        Block(items=tuple(texts(result.get("notes")))),
+        Block(items=tuple(notes(result))),
         Block(heading="Simulation", pairs=tuple(tables.pairs(result.get("simulation")))),
     ]
     return section("notes", "Notes and settings", "", blocks)

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from physid.report.notation import given, p_value, percent, percent_pair, plural
+from physid.report.notation import (
+    given,
+    p_value,
+    percent,
+    percent_pair,
+    plural,
+    quantity,
+    short,
+)
 from physid.report.reading import Result, kind, mapping, mappings, number, numbers, text, worst
 from physid.report.words import (
     capital,
@@ -122,6 +130,8 @@ def summarise(result: Result) -> Summary:
         "check": _check,
         "fit": _fit,
         "comparison": _comparison,
+        "simulation": _simulation,
+        "catalogue": _catalogue,
     }
     summary = makers.get(kind(result), _comparison)(result)
     sentence = text(result.get("sentence")).strip()
@@ -335,6 +345,25 @@ def _check(result: Result) -> Summary:
     facts += [("Allowed", f"{given(100 * within)} %")] if within is not None else []
     tone = "good" if result.get("holds") is True else "warn"
     return Summary(headline=headline, detail="", facts=tuple(facts), tone=tone)
+
+
+def _simulation(result: Result) -> Summary:
+    """Summarise a simulated record."""
+    samples = number(result.get("samples"))
+    model = text(result.get("model")).replace("\\", "/").rsplit("/", 1)[-1]
+    length, count = quantity(number(result.get("duration")), "s"), short(samples)
+    headline = f"Simulated {length} of {model or 'the model'} in {count} samples."
+    facts = [("Time step", quantity(number(result.get("timestep")), "s"))]
+    facts += [("Columns", str(len(mappings(result.get("columns")))))]
+    return Summary(headline=headline, detail="", facts=tuple(facts), tone="plain")
+
+
+def _catalogue(result: Result) -> Summary:
+    """Summarise the catalogue."""
+    effects = mappings(result.get("effects"))
+    headline = f"The catalogue: {plural(len(effects), 'effect')} that a model may lack."
+    detail = "Write one as EFFECT@LOCATION:parameter=value to add it by hand with --add."
+    return Summary(headline=headline, detail=detail, facts=(), tone="plain")
 
 
 def _deviations(result: Result) -> dict[str, object]:

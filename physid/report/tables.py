@@ -13,6 +13,7 @@ from physid.report.notation import (
     percent,
     percent_pair,
     quantity,
+    share,
     short,
     with_interval,
 )
@@ -209,7 +210,7 @@ def candidates(entries: object, *, every_channel: bool = True) -> Table:
             "\n".join(effect_code(effect) for effect in effects),
             parameters_phrase(effects) or MISSING,
             _changes(before, after) if every_channel else change(before, after),
-            percent(explained),
+            share(explained),
             p_value(number(entry.get("p_value"))),
             indistinguishable(entry.get("indistinguishable_from")) or MISSING,
         ]
@@ -315,5 +316,5 @@ def shares(entries: object, caption: str = "") -> Table:
     """Return the joints' shares of what the model does not explain."""
     columns = [Column(heading="Joint"), Column(heading="Share of the error", numeric=True)]
     found = mappings(entries)
-    rows = [("", [text(e.get("name")), percent(number(e.get("share")))]) for e in found]
+    rows = [("", [text(e.get("name")), share(number(e.get("share")))]) for e in found]
     return _table(columns, rows, caption)

@@ -177,6 +177,39 @@ def test_page_again(call, calls, tmp_path):
     assert (out / "report.html").exists()
 
 
+def test_pages_of_a_simulation_and_of_the_catalogue(call, calls, tmp_path):
+    run, known = tmp_path / "run", tmp_path / "known"
+    assert call("simulate", "m.xml", "--excite", "step:duration=1", "--out", run).code == 0
+    assert call("effects", "--out", known).code == 0
+    for folder, words in ((run, ["5 samples", "force"]), (known, ["coulomb_friction", "sign(v)"])):
+        (folder / "report.html").unlink()
+        outcome = call("report", folder)
+        assert outcome.code == 0
+        page = (folder / "report.html").read_text(encoding="utf-8")
+        for word in words:
+            assert word in page
+            assert word in outcome.out
+
+
+@pytest.mark.parametrize("given", [(), ("--hold", "smooth")])
+def test_default_of_hold(call, calls, given):
+    assert call("fit", "m.xml", "a.csv", "--json", *given).code == 0
+    assert calls[0][2]["hold"] == (given[1] if given else None)
+
+
+def test_simulate_passes_its_options(call, calls):
+    words = ("--input", "r.csv", "--hold", "first", "--map", "torque=motor", "--seed", "3")
+    assert call("simulate", "m.xml", *words, "--add", "coulomb_friction@load:force=1").code == 0
+    assert calls[0][1] == (Path("m.xml"), Path("r.csv"))
+    assert calls[0][2] == {
+        "excite": None,
+        "add": ("coulomb_friction@load:force=1",),
+        "hold": "first",
+        "rename": {"torque": "motor"},
+        "seed": 3,
+    }
+
+
 def test_no_words_show_the_help(call):
     outcome = call()
     assert outcome.code == 0

@@ -190,6 +190,10 @@ def rates(lines: Sequence[Json]) -> list[tuple[str, float | None, int, int]]:
         "among_three": (_hits(inside, "among_three"), len(inside)),
         "false_alarms": (len(flagged), len(nothing)),
         "outside_unexplained": (_hits(outside, "strict"), len(outside)),
+        "outside_passed_over": (
+            sum(1 for line in outside if line.get("verdict") == "nothing_missing"),
+            len(outside),
+        ),
         "near_floor": (len(near), len(right)),
         "errors": (sum(1 for line in lines if line.get("error")), len(lines)),
     }
