@@ -65,6 +65,6 @@ def test_files_load_and_follow_the_seed(tmp_path):
     for path in (first.train, first.test):
         record = load_record(path)
         assert record.columns == ("motor", "drive_angle", "load_angle")
-        assert record.dt == pytest.approx(0.002)
-        assert 7.5 < record.duration < 10.0
+        assert record.dt == pytest.approx(0.004)
+        assert 4.0 < record.duration < 10.0
     assert first.model.read_text(encoding="utf-8").startswith("<mujoco")

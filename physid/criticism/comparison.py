@@ -23,7 +23,7 @@ from physid.criticism.account import (
 from physid.criticism.localisation import Latent, latent_forces, where
 from physid.errors import NumericsError
 from physid.identification.fitting import Fitted, closing_balance, fit_study
-from physid.identification.output_error import minimise
+from physid.identification.output_error import Problem, minimise
 from physid.identification.staged import ENOUGH, SHORT, thinned, windowed
 from physid.identification.study import Options, at_values, prepare
 from physid.plant.model import Model
@@ -181,20 +181,35 @@ class Lack:
     model: Model
 
 
-def lack_of(fitted: Fitted) -> Lack:
+def lack_of(fitted: Fitted, better: Fitted | None = None) -> Lack:
     """Return the forces that a fitted model's joints lack, on short windows.
 
     The parameters are those that fit these windows best: a wrong model fitted to whole records has
     its parameters bent by errors that add up, and the force would show those and not what is missing.
+    Where a better model is known, they are that model's: then its added effects are what is missing,
+    and the force shows their law (a partial residual: Larsen, McCleary, Technometrics 14, 1972).
     """
     short = thinned(windowed(fitted.problem, SHORT), ENOUGH)
     try:
-        near = minimise(short, fitted.estimate.theta, iterations=10, tolerance=1e-3)
-        model = at_values(short.model, short.parameters, near.theta)
-        frozen = replace(short, model=model, parameters=()), replace(near, theta=np.zeros(0))
-        return Lack(forces=tuple(latent_forces(*frozen)), model=model)
+        model = _bent(short, fitted) if better is None else _without_added(fitted, better)
+        frozen = replace(short, model=model, parameters=())
+        near = minimise(frozen, np.zeros(0), iterations=10, tolerance=1e-3)
+        return Lack(forces=tuple(latent_forces(frozen, near)), model=model)
     except (NumericsError, np.linalg.LinAlgError):
         return Lack(forces=(), model=fitted.problem.model)
+
+
+def _bent(short: Problem, fitted: Fitted) -> Model:
+    near = minimise(short, fitted.estimate.theta, iterations=10, tolerance=1e-3)
+    return at_values(short.model, short.parameters, near.theta)
+
+
+def _without_added(base: Fitted, better: Fitted) -> Model:
+    """Return the better model without the effects that the base model does not have."""
+    model: Model = better.model  # type: ignore[assignment]
+    known = base.problem.model.effects
+    kept = tuple(p for p in model.effects if any(p.same_site(q) for q in known))
+    return replace(model, effects=kept)
 
 
 def latent_curves(lack: Lack) -> dict[str, np.ndarray]:

@@ -28,13 +28,20 @@ from physid.criticism.screening import Scored, possible_candidates, screen, shor
 from physid.effects.catalogue import CATALOGUE
 from physid.identification.output_error import Estimate, Problem
 from physid.errors import NumericsError
-from physid.identification.staged import ENOUGH, Spans, fit_windows, thinned, windowed
-from physid.identification.study import Options, Study
+from physid.identification.staged import (
+    ENOUGH,
+    Spans,
+    fit_windows,
+    states_only,
+    thinned,
+    windowed,
+)
+from physid.identification.study import Options, Study, at_values
 from physid.plant.effect import Effect, Placed, Scales
 from physid.plant.structure import Place
 
 Verdict = Literal["effect_missing", "nothing_missing", "unexplained"]
-REFITS = 6
+REFITS = 4
 """Candidates refitted from each of the two screenings."""
 TRIALS = 2
 """Shapes of each that are started from."""
@@ -120,7 +127,10 @@ def diagnose_study(study: Study, *, span: tuple[float, float] = (0.3, 0.95), nam
     _report(options, span, f"screening {len(candidates)} candidates", 0.1)
     inner = base.problems["long"]
     fits = []
-    groups = _screened(base.problems, base.fits, candidates, REFITS, TRIALS)
+    grounds = [(base.problems[h], base.fits[h]) for h in base.fits]
+    if base.fits["long"].squares > NOISE_LIKE * base.problems["long"].measurements():
+        grounds.insert(0, (base.problems["long"], _undistorted(study, base.problems["long"])))
+    groups = _screened(grounds, candidates, REFITS, TRIALS)
     for k, group in enumerate(groups):
         _report(options, span, f"refitting {group[0].effect.name}", 0.2 + 0.4 * k / max(len(groups), 1))
         found = refit(base, inner, _starts(group), group[0].scales, rank=k)
@@ -128,7 +138,7 @@ def diagnose_study(study: Study, *, span: tuple[float, float] = (0.3, 0.95), nam
             fits.append(found)
     scales = {g[0].place: g[0].scales for g in groups}
     fits = _best_with_blocks(base, _with_siblings(base, fits, scales))
-    if fits and _explained(base, fits[0]) < WELL_NAMED:
+    if fits and _explained(base, fits[0]) < WELL_NAMED and not _noise_like(base, fits[0]):
         _report(options, span, "trying pairs", 0.65)
         fits = _best_with_blocks(base, [*fits, *_pairs(base, fits, candidates)])
     _report(options, span, "judging on data not used for the choice", 0.9)
@@ -148,7 +158,7 @@ def _starts(group: Sequence[Scored]) -> list[Start]:
 
 def _windows(study: Study, horizon: str, spans: Spans) -> Problem:
     problem = windowed(study.problem, HORIZONS[horizon], spans)
-    return thinned(problem, ENOUGH) if horizon == "short" else problem
+    return thinned(problem, ENOUGH) if np.isfinite(HORIZONS[horizon]) else problem
 
 
 def base_of(study: Study) -> Base:
@@ -172,12 +182,23 @@ def _report(options: Options, span: tuple[float, float], stage: str, share: floa
     options.report(stage, span[0] + (span[1] - span[0]) * share)
 
 
-def _screened(problems: dict[str, Problem], fits: dict[str, Estimate],
+def _undistorted(study: Study, problem: Problem) -> Estimate:
+    """Return the study's start as a ground for screening.
+
+    Under a large missing effect the best fit is a distorted one, at which nothing looks like itself;
+    the start, from the force balance or short windows, is nearer the truth.
+    """
+    frozen = replace(problem, model=at_values(problem.model, problem.parameters, study.theta))
+    found = states_only(frozen)
+    return replace(found, theta=study.theta)
+
+
+def _screened(grounds: Sequence[tuple[Problem, Estimate]],
               candidates: Sequence[tuple[Effect, Place]], most: int, per_effect: int) -> list[list[Scored]]:
-    """Screen at every horizon and join the shortlists, alternating."""
+    """Screen on several grounds and join the shortlists, alternating."""
     groups: dict[tuple[str, Place], list[Scored]] = {}
     lists = [
-        shortlist(screen(problems[h], fits[h], candidates), most, per_effect) for h in fits
+        shortlist(screen(problem, fit, candidates), most, per_effect) for problem, fit in grounds
     ]
     for pair in zip_longest(*lists):
         for group in pair:
@@ -248,6 +269,13 @@ def effective_samples(base: Base, fit: Refit, horizon: str) -> float:
     return problem.measurements() / colour(problem, fit.fits[horizon])
 
 
+def _noise_like(base: Base, fit: Refit) -> bool:
+    """Say whether a candidate leaves no more than noise at every horizon."""
+    return all(
+        fit.fits[h].squares <= NOISE_LIKE * base.problems[h].measurements() for h in fit.fits
+    )
+
+
 def _explained(base: Base, fit: Refit) -> float:
     """Return the share of the base's excess squares that a candidate removes, at its best long horizon."""
     return max(_removed(base, fit, h) for h in fit.fits if h != "short")
@@ -284,7 +312,8 @@ def _pairs(base: Base, fits: Sequence[Refit], candidates: Sequence[tuple[Effect,
             if (effect, place) in wanted
             and not any(a.effect.name in effect.supersedes and a.place == place for a in single.added)
         ]
-        for group in _screened(problems, single.fits, rest, PARTNERS, 1):
+        grounds = [(problems[h], single.fits[h]) for h in single.fits]
+        for group in _screened(grounds, rest, PARTNERS - 1, 1):
             pair = refit(base, problems["long"], _starts(group), group[0].scales, rank=single.rank,
                          already=single.added)
             if pair is None:

@@ -248,8 +248,8 @@ def judge(judging: dict[str, Problem], base: Base, candidate: Refit) -> Judgemen
     for horizon, problem in judging.items():
         if horizon not in candidate.fits or horizon not in base.fits:
             continue
-        before, after, t = _compare(problem, base, candidate, horizon)
-        p_values.append(float(norm.sf(t)))
+        before, after, t_values = _compare(problem, base, candidate, horizon)
+        p_values += [float(norm.sf(t)) for t in t_values]
         if horizon == "long":
             shown = (problem, before, after)
     assert shown is not None
@@ -263,8 +263,9 @@ def judge(judging: dict[str, Problem], base: Base, candidate: Refit) -> Judgemen
     )
 
 
-def _compare(problem: Problem, base: Base, candidate: Refit, horizon: str) -> tuple[Estimate, Estimate, float]:
-    """Return the base's and the candidate's residuals on judging windows, and the t-value."""
+def _compare(problem: Problem, base: Base, candidate: Refit, horizon: str,
+             ) -> tuple[Estimate, Estimate, tuple[float, float]]:
+    """Return the base's and the candidate's fits of initial states on judging windows, and two t-values."""
     theta = base.fits[horizon].theta
     old = replace(problem, model=at_values(problem.model, problem.parameters, theta))
     new_model = at_values(
@@ -278,7 +279,22 @@ def _compare(problem: Problem, base: Base, candidate: Refit, horizon: str) -> tu
         [a - b for a, b in zip(before.residuals, after.residuals, strict=True)]
     )
     direction = difference - basis @ (basis.T @ difference)
-    return before, after, _t_value(direction, point.remaining, len(problem.sigma))
+    channels = len(problem.sigma)
+    fall = sum_of_squares(before) - sum_of_squares(after)
+    return before, after, (_t_value(direction, point.remaining, channels), _t_mean(fall))
+
+
+def sum_of_squares(estimate: Estimate) -> np.ndarray:
+    """Return the weighted squares at every instant of all windows, channels added up, (n,)."""
+    return np.concatenate([np.sum(r**2, axis=2).ravel() for r in estimate.residuals])
+
+
+def _t_mean(series: np.ndarray) -> float:
+    """Return the t-value of a coloured series' mean (n,)."""
+    centred = series - series.mean()
+    lags = min(int(3 * correlation_time(series)) + 1, len(series) // 8, 400)
+    variance = float(bartlett(centred[:, None], lags)[0, 0])
+    return float(series.sum() / np.sqrt(max(variance, 1e-300)))
 
 
 def _t_value(direction: np.ndarray, residual: np.ndarray, channels: int) -> float:

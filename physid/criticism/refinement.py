@@ -36,7 +36,7 @@ from physid.criticism.evidence import start_of, with_candidate
 from physid.criticism.localisation import where
 from physid.effects.catalogue import load_model_text
 from physid.identification.fitting import Fitted, fit_study
-from physid.identification.output_error import Estimate, Problem
+from physid.identification.output_error import Estimate, Problem, minimise
 from physid.identification.staged import states_only
 from physid.identification.study import Options, Study, as_model, experiments_of, prepare
 from physid.identification.windows import whole
@@ -67,7 +67,7 @@ def diagnose(model: Model | str | os.PathLike[str], records: Sequence[object], *
     settings.report("finding where the model fails", 0.85)
     base = fit_study(study)
     best = _best_fit(study, found) if found.candidates else None
-    lack = lack_of(base)
+    lack = lack_of(base, best)
     return Result(
         data=diagnosis_data(study, found, base, lack),
         curves=diagnosis_curves(study, base, best, lack),
@@ -257,13 +257,13 @@ def _refinement(study: Study, tests: Sequence[Any], steps: list[Step], first: Di
     if steps[-1].tested is not None:
         records += record_rows(steps[-1].tested[0], channel_rows(*steps[-1].tested), "test")
     base = steps[0].fitted
-    lack = lack_of(base)
+    lack = lack_of(base, last if len(steps) > 1 else None)
     data = {
         "schema": "physid.refinement/1",
         "verdict": first.verdict,
         "remaining": remaining,
         "steps": [_step_row(s) for s in steps],
-        "parameters": parameters_of(last),
+        "parameters": _without_starts(parameters_of(last), steps),
         "records": records,
         "model": "refined.xml",
         "channels": worst_channels(train),
@@ -279,6 +279,14 @@ def _refinement(study: Study, tests: Sequence[Any], steps: list[Step], first: Di
     return Refinement(data=data, curves=_refinement_curves(study, steps, lack), model=last.model, xml=xml)  # type: ignore[arg-type]
 
 
+def _without_starts(
+    rows: list[dict[str, object]], steps: Sequence[Step]
+) -> list[dict[str, object]]:
+    """Leave out where the search for an added effect began: the model had no such value."""
+    own = {p.name for p in steps[0].fitted.problem.parameters}
+    return [row if row["name"] in own else {**row, "initial": None} for row in rows]
+
+
 def _from_file(step: Step, xml: str, tests: Sequence[Any]) -> tuple[Step, list[str]]:
     """Simulate the last step again from the written file, so that its figures are the file's."""
     fitted = step.fitted
@@ -288,7 +296,7 @@ def _from_file(step: Step, xml: str, tests: Sequence[Any]) -> tuple[Step, list[s
     problem = problem.with_windows(
         [replace(w, simulator=replace(w.simulator, structure=structure)) for w in problem.windows]
     )
-    estimate = states_only(problem)
+    estimate = minimise(problem, np.zeros(0), fitted.estimate.states, iterations=20, tolerance=1e-6)
     change = abs(np.sqrt(estimate.squares / max(fitted.estimate.squares, 1e-300)) - 1.0)
     notes = []
     if change > 0.01:

@@ -204,12 +204,12 @@ def _restored(spec: mujoco.MjSpec, name: str, notes: tuple[str, ...]) -> Model:
         effect_name, _, location = text.partition("@")
         effect = effect_named(effect_name)
         place = structure.find(location, effect.kinds)
-        values = dict(zip((c.name for c in effect.coefficients), data, strict=False))
-        if len(values) != len(effect.coefficients):
+        if len(data) != len(effect.coefficients):
             raise ModelError(
                 f"{name}: custom entry physid:{text} holds {len(data)} numbers; "
                 f"{effect.name} has {len(effect.coefficients)} parameters."
             )
+        values = dict(zip((c.name for c in effect.coefficients), data, strict=True))
         effect.undo(spec, place, values)
         model = model.with_effect(Placed(effect, place, values))
     return model

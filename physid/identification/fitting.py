@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from physid.errors import ModelError, NumericsError
 from physid.identification.accuracy import refine_steps
 from physid.identification.force_balance import Balance, balance, observable, widths
 from physid.identification.output_error import Estimate, Problem, residuals_of
@@ -105,10 +106,10 @@ def closing_balance(fitted: Fitted) -> Balance | None:
         try:
             tried = balance(problem.model, problem.parameters, experiments, float(width), hold=hold,
                             points=CLOSING_POINTS, theta=fitted.estimate.theta)
-        except (np.linalg.LinAlgError, ValueError):
+            model = at_values(problem.model, problem.parameters, tried.theta)
+            squares = states_only(replace(long, model=model)).squares
+        except (np.linalg.LinAlgError, ValueError, NumericsError, ModelError):
             continue
-        model = at_values(problem.model, problem.parameters, tried.theta)
-        squares = states_only(replace(long, model=model)).squares
         if np.isfinite(squares):
             found.append((squares, tried))
     return min(found, key=lambda f: f[0])[1] if found else None

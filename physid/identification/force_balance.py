@@ -24,9 +24,9 @@ from physid.plant.model import Model, Plant
 from physid.plant.parameter import Parameter
 from physid.plant.simulation import Hold, between_samples, delayed
 
-POINTS = 2400
+POINTS = 1000
 """Most instants used per record; the closing balance of a result uses more."""
-NUMBER_OF_WIDTHS = 6
+NUMBER_OF_WIDTHS = 5
 """Smoothing widths tried, from two samples to a 25th of the motion's period."""
 
 

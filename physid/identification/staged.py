@@ -16,7 +16,7 @@ SHORT, LONG = 0.3, 1.5
 """Window lengths in typical periods of the motion."""
 FEWEST = 12
 """Windows that are kept however long they are."""
-ENOUGH = 6000
+ENOUGH = 5000
 """Samples used while a start is looked for."""
 Progress = Callable[[str, float], None]
 Spans = Callable[[int], Sequence[Span]]

@@ -42,6 +42,23 @@ def read_spec(path: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
     return spec, notes
 
 
+def without_looks(spec: mujoco.MjSpec) -> mujoco.MjSpec:
+    """Return a copy without materials and textures, which no motion depends on.
+
+    The specification itself is returned where something else needs them.
+    """
+    lean = spec.copy()
+    for element in (*lean.geoms, *lean.sites, *lean.tendons, *lean.skins, *lean.flexes):
+        element.material = ""
+    for unseen in (*lean.materials, *lean.textures):
+        lean.delete(unseen)
+    try:
+        lean.copy().compile()
+    except ValueError:
+        return spec
+    return lean
+
+
 def _one_line(error: Exception) -> str:
     return " ".join(str(error).split()).rstrip(".")
 

@@ -6,13 +6,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
-from typing import Any
 
 import mujoco
 import numpy as np
 
 from physid.errors import ModelError, available
 from physid.plant.effect import Coefficient, Effect, Element, Placed, spec_element
+from physid.plant.loading import without_looks
 from physid.plant.parameter import (
     ATTRIBUTES,
     Parameter,
@@ -197,7 +197,7 @@ class Model:
         ModelError
             If the engine refuses the values.
         """
-        spec = self._edited(timestep)
+        spec = self._edited(self._physical, timestep)
         delays = _take_delays(spec, self.structure, timestep)
         runtime = [p for p in self.effects if p.effect.representation == "runtime"]
         if runtime:
@@ -211,7 +211,7 @@ class Model:
             raise ModelError(f"MuJoCo refuses {self.name} at the values tried: {reason}.") from None
         return Plant(
             model=model,
-            elements=tuple(e for p in runtime for e in p.effect.elements(model, p.place, p.values)),
+            elements=tuple(e for p in runtime for e in self._elements(model, p)),
             delays=delays,
             conditioners=tuple(
                 (self.structure.inputs.index(p.place.name), p)
@@ -220,8 +220,24 @@ class Model:
             ),
         )
 
-    def _edited(self, timestep: float) -> mujoco.MjSpec:
-        spec = self.spec.copy()
+    def _elements(self, model: mujoco.MjModel, placed: Placed) -> tuple[Element, ...]:
+        found = placed.effect.elements(model, placed.place, placed.values)
+        for element in found:
+            joints, most = np.count_nonzero(element.row), (ELEMENT_WIDTH - 10) // 3
+            if joints > most:
+                raise ModelError(f"{self.site(placed)} couples {joints} joints; at most {most} can.")
+        return found
+
+    @property
+    def _physical(self) -> mujoco.MjSpec:
+        """The MJCF without its looks: textures take longer to compile than all else."""
+        if "physical" not in self.derived:
+            self.derived["physical"] = without_looks(self.spec)
+        found: mujoco.MjSpec = self.derived["physical"]
+        return found
+
+    def _edited(self, base: mujoco.MjSpec, timestep: float) -> mujoco.MjSpec:
+        spec = base.copy()
         spec.option.timestep = timestep
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
         spec.option.tolerance = 1e-14
@@ -268,7 +284,7 @@ class Model:
         -----
         MuJoCo's writer keeps six significant digits.
         """
-        spec = self._edited(timestep)
+        spec = self._edited(self.spec, timestep)
         for placed in self.effects:
             if placed.effect.representation == "runtime":
                 data = [float(placed.values[c.name]) for c in placed.effect.coefficients]

@@ -16,6 +16,10 @@ from physid.errors import InputError, ModelError, available
 from physid.plant.structure import KINDS, Place, Structure, tendon_unit
 
 
+LIGHTEST = 1e-6
+"""Lower bound of a mass or an inertia, as a share of what the MJCF gives."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Parameter:
     """A number in the model that a fit may change.
@@ -215,6 +219,8 @@ def read_parameter(model: mujoco.MjModel, place: Place, attribute: str, name: st
     lower, upper = row.lower, np.inf
     if attribute == "gear" and value:
         lower, upper = (0.0, np.inf) if value > 0 else (-np.inf, 0.0)
+    if place.kind == "body" and attribute in ("mass", "inertia"):
+        lower = LIGHTEST * value  # the engine refuses bodies without inertia
     return Parameter(
         name=name,
         value=value,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import plotly.graph_objects as go
 
-from physid.report.notation import percent, share, significant
+from physid.report.notation import percent, share, short, significant
 from physid.report.reading import Array
 from physid.report.style import (
     AFTER,
@@ -351,7 +351,7 @@ def force_map(
     drawn = figure(height)
     limit = float(np.nanmax(np.abs(forces), initial=0.0)) or 1.0
     colors = [[0.0, BEFORE], [0.5, PAPER], [1.0, AFTER]]
-    ticks = [[f"{a:.3g} … {b:.3g}" for a, b in cells] for cells in (positions, speeds)]
+    ticks = [[f"{short(a, 3)} … {short(b, 3)}" for a, b in cells] for cells in (positions, speeds)]
     trace = go.Heatmap(z=forces, x=ticks[0], y=ticks[1], zmin=-limit, zmax=limit)
     bar = {"thickness": 10, "title": {"text": safe(titles[2]), "side": "right"}}
     words = {"texttemplate": "%{z:.3g}", "hoverinfo": "skip"}

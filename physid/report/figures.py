@@ -220,7 +220,7 @@ def latent_force(
         name = f"x{i + 1}" if i else "x"
         points = {"size": 3.5, "color": QUIET, "opacity": 0.55}
         trace = go.Scatter(x=x, y=y, mode="markers", marker=points, xaxis=name)
-        drawn.add_trace(trace.update(name="single pulses", showlegend=i == 0))
+        drawn.add_trace(trace.update(name="single pushes", showlegend=i == 0))
         middles, means = binned_means(values, force)
         mean = line(middles, means, "their mean", BEFORE, width=2.2, xaxis=name)
         drawn.add_trace(mean.update(showlegend=i == 0))

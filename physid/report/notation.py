@@ -141,8 +141,8 @@ def interval(low: float | None, high: float | None) -> str:
     """Write the bounds of a parameter; an absent bound is infinite."""
     if low is None and high is None:
         return "none"
-    left = "−∞" if low is None or not math.isfinite(low) else given(low)
-    right = "∞" if high is None or not math.isfinite(high) else given(high)
+    left = "−∞" if low is None or not math.isfinite(low) else short(low, 3)
+    right = "∞" if high is None or not math.isfinite(high) else short(high, 3)
     return f"{left} … {right}"
 
 

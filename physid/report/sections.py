@@ -115,16 +115,20 @@ def _latent(result: Result, curves: Curves) -> list[Block]:
         if force is not None and np.isfinite(force).any():
             size = float(np.nanmean(np.where(np.isfinite(force), force, np.nan) ** 2))
             found.append((size, joint, force, _joint_units(curves, index)))
-    found.sort(key=lambda entry: -entry[0])
+    shares = {text(j.get("name")): number(j.get("share")) for j in mappings(_joints(result))}
+    found.sort(key=lambda entry: (-(shares.get(entry[1]) or 0.0), -entry[0]))
     drawn = [
         shown
         for _, joint, force, units in found
         if (shown := _latent_picture(result, curves, joint, force, units, _limits(found, units[2])))
     ]
-    words = "Each point is a short push on the joint: the one with which the base model, fitted "
-    words += "as well as it goes, would follow the record. Single pushes are noisy, their mean is "
-    words += "not. A pattern against speed is friction or damping, against position a spring, "
-    words += "gravity or a gap."
+    words = (
+        "Each point is a short push on the joint, such that the model without the effects named "
+    )
+    words += (
+        "here would follow the record. Single pushes are noisy, their mean is less so. A pattern "
+    )
+    words += "against speed is friction or damping, against position a spring, gravity or a gap."
     return [Block(heading="The missing force", text=words, pictures=tuple(drawn))] if drawn else []
 
 
@@ -154,6 +158,10 @@ def _edges(value: object) -> tuple[float, float] | None:
         return None
     low, high = number(value[0]), number(value[1])
     return None if low is None or high is None else (low, high)
+
+
+def _joints(result: Result) -> object:
+    return mapping(result.get("where")).get("joints")
 
 
 def _limits(
@@ -204,7 +212,7 @@ def _law(
     if (home or joints[0]) != joint:
         return None
     key = label(curves, "law.axis") or "speed"
-    return (keys.index(key), x, y, label(curves, "law.label")) if key in keys else None
+    return (keys.index(key), x, y, capital(label(curves, "law.label"))) if key in keys else None
 
 
 def _effect_places(result: Result) -> list[str]:
@@ -273,7 +281,8 @@ def _balance(result: Result) -> list[Block]:
     pairs = tuple(
         (f"Not closed at {text(str(k))}", percent(number(v))) for k, v in residual.items()
     )
-    words = "The same parameters from the force balance, without simulating."
+    words = "The same parameters from the force balance, without simulating. Smoothing and noise "
+    words += "bend it: it should agree in sign and size, not within its intervals."
     return [
         Block(
             heading="Second opinion: the force balance",

@@ -88,6 +88,7 @@ def parameter_phrase(parameter: Mapping[str, Any]) -> str:
     """Write a parameter with interval and unit: ``force 0.3000 ± 0.0042 N m``."""
     value, std = number(parameter.get("value")), number(parameter.get("std_error"))
     name, unit = text(parameter.get("name")), text(parameter.get("unit"))
+    unit = "" if unit == "1" else unit
     if value is None:
         return name
     if std is None:

@@ -1,0 +1,1 @@
+"""Tests of the effects: laws, places, neutral values, files."""

@@ -1,0 +1,1 @@
+"""Tests of the plant: structure, parameters, and the two back ends."""
