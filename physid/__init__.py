@@ -1,4 +1,4 @@
-"""physid: why does a MuJoCo model not match its rig?
+"""Why does a MuJoCo model not match its rig.
 
 Compare a model with measured records, learn which physical effect it lacks, add it, and watch the
 error fall.  Everything here is also a command: ``physid --help``.

@@ -59,7 +59,10 @@ def peer_fit(generated: Generated) -> float:
         change = setters[name]
         parameters.add(
             sysid.Parameter(
-                name, value, 0.1 * value, 10 * value,
+                name,
+                value,
+                0.1 * value,
+                10 * value,
                 modifier=lambda s, p, change=change: change(s, float(p.value[0])),
             )
         )
@@ -70,7 +73,9 @@ def peer_fit(generated: Generated) -> float:
     speed = np.gradient(outputs, times, axis=0)[0]
     begin = time.perf_counter()
     sequences = sysid.ModelSequences(
-        "rig", spec, "run",
+        "rig",
+        spec,
+        "run",
         sysid.create_initial_state(model, outputs[0], speed),
         sysid.TimeSeries.from_control_names(times, inputs, model),
         sysid.TimeSeries.from_names(times + model.opt.timestep, outputs, model),
@@ -109,13 +114,27 @@ def main(
                 own.append(mine)
     ratios = [a / b for a, b in zip(own, peer, strict=True)]
     ratio = statistics.median(ratios)
-    figure = {"name": "diagnosis_over_sysid_fit", "value": ratio, "op": "<=", "bound": BOUND, "holds": ratio <= BOUND}
-    result = {"figures": [figure], "diagnosis_s": own, "sysid_fit_s": peer, "ratios": ratios, "sentence": sentence}
+    figure = {
+        "name": "diagnosis_over_sysid_fit",
+        "value": ratio,
+        "op": "<=",
+        "bound": BOUND,
+        "holds": ratio <= BOUND,
+    }
+    result = {
+        "figures": [figure],
+        "diagnosis_s": own,
+        "sysid_fit_s": peer,
+        "ratios": ratios,
+        "sentence": sentence,
+    }
     if as_json:
         print(json.dumps(result, indent=2))
         return
     print(sentence)
-    print(f"physid diagnosis {statistics.median(own):.2f} s, mujoco.sysid fit {statistics.median(peer):.2f} s")
+    print(
+        f"physid diagnosis {statistics.median(own):.2f} s, mujoco.sysid fit {statistics.median(peer):.2f} s"
+    )
     print(f"ratio {ratio:.1f} (from {min(ratios):.1f} to {max(ratios):.1f}), bound {BOUND:g}")
 
 

@@ -1,1 +1,1 @@
-"""physid.criticism"""
+"""Where and why a model fails: comparison, screening, evidence, diagnosis, refinement."""

@@ -36,7 +36,9 @@ def channel_rows(problem: Problem, estimate: Estimate) -> list[list[dict[str, ob
     for windows, weighted in zip(problem.windows, estimate.residuals, strict=True):
         experiment = windows.experiment
         residual = weighted[0] * problem.sigma
-        spread = np.sqrt(np.mean((experiment.outputs - experiment.outputs.mean(axis=0)) ** 2, axis=0))
+        spread = np.sqrt(
+            np.mean((experiment.outputs - experiment.outputs.mean(axis=0)) ** 2, axis=0)
+        )
         rmse = np.sqrt(np.mean(residual**2, axis=0))
         found = []
         for k, channel in enumerate(experiment.channels):
@@ -77,8 +79,12 @@ def record_rows(problem: Problem, rows: Sequence[object], role: str) -> list[dic
     ]
 
 
-def parameter_rows(parameters: Sequence[Parameter], theta: np.ndarray, std: np.ndarray,
-                   initial: Mapping[str, float]) -> list[dict[str, object]]:
+def parameter_rows(
+    parameters: Sequence[Parameter],
+    theta: np.ndarray,
+    std: np.ndarray,
+    initial: Mapping[str, float],
+) -> list[dict[str, object]]:
     """Return the contract's ``parameters``, with a note where one is at a bound or not identified."""
     return [
         {
@@ -108,7 +114,9 @@ def _note(parameter: Parameter, value: float, error: float) -> str:
     return ""
 
 
-def effect_row(model: Model, placed: Placed, std: Mapping[str, float] | None = None) -> dict[str, object]:
+def effect_row(
+    model: Model, placed: Placed, std: Mapping[str, float] | None = None
+) -> dict[str, object]:
     """Return the contract's description of an effect with its values."""
     units = units_of(model.nominal, placed.place)
     return {
@@ -118,7 +126,9 @@ def effect_row(model: Model, placed: Placed, std: Mapping[str, float] | None = N
             {
                 "name": c.name,
                 "value": finite(float(placed.values[c.name])),
-                "std_error": finite((std or {}).get(model.coefficient_name(placed, c), float("nan"))),
+                "std_error": finite(
+                    (std or {}).get(model.coefficient_name(placed, c), float("nan"))
+                ),
                 "unit": write_unit(c.unit, units),
             }
             for c in placed.effect.coefficients
@@ -145,10 +155,14 @@ def thin(samples: int) -> np.ndarray:
     return np.arange(0, samples, max(1, -(-samples // POINTS)))
 
 
-def record_curves(problem: Problem, estimate: Estimate, label: str, first: int = 0) -> dict[str, np.ndarray]:
+def record_curves(
+    problem: Problem, estimate: Estimate, label: str, first: int = 0
+) -> dict[str, np.ndarray]:
     """Return time, input, measured and simulated curves of whole-record residuals."""
     curves: dict[str, np.ndarray] = {}
-    for k, (windows, weighted) in enumerate(zip(problem.windows, estimate.residuals, strict=True), start=first):
+    for k, (windows, weighted) in enumerate(
+        zip(problem.windows, estimate.residuals, strict=True), start=first
+    ):
         experiment = windows.experiment
         rows = thin(experiment.samples)
         curves[f"{k}.time"] = experiment.time[rows]
@@ -158,21 +172,27 @@ def record_curves(problem: Problem, estimate: Estimate, label: str, first: int =
     return curves
 
 
-def residual_curves(problem: Problem, estimate: Estimate, suffix: str = "") -> dict[str, np.ndarray]:
+def residual_curves(
+    problem: Problem, estimate: Estimate, suffix: str = ""
+) -> dict[str, np.ndarray]:
     """Return the residual tests' curves of the first record; ``suffix`` is "" or "_before"."""
     experiment = problem.windows[0].experiment
     residual = estimate.residuals[0][0] * problem.sigma
     n, ny = residual.shape
     lags = min(LAGS, n - 1)
     curves = {
-        f"residual.acf{suffix}": np.array([autocorrelation(residual[:, k], lags) for k in range(ny)]),
+        f"residual.acf{suffix}": np.array(
+            [autocorrelation(residual[:, k], lags) for k in range(ny)]
+        ),
         f"residual.acf_band{suffix}": np.full(ny, white_band(n, lags)),
         "residual.lag": np.arange(lags + 1) * experiment.dt,
     }
     moving = [u for u in experiment.inputs.T if np.ptp(u) > 0]
     if len(moving) == experiment.inputs.shape[1] and moving:
         pairs = [(residual[:, k], u) for k in range(ny) for u in moving]
-        curves[f"residual.ccf{suffix}"] = np.array([cross_correlation(r, u, lags) for r, u in pairs])
+        curves[f"residual.ccf{suffix}"] = np.array(
+            [cross_correlation(r, u, lags) for r, u in pairs]
+        )
         tests = (lags + 1) * len(moving)
         curves[f"residual.ccf_band{suffix}"] = np.array([cross_band(r, u, tests) for r, u in pairs])
     return curves
@@ -184,5 +204,7 @@ def spectrum_curves(problem: Problem, estimate: Estimate, label: str) -> dict[st
 
     residual = estimate.residuals[0][0] * problem.sigma
     segment = int(min(len(residual), max(256, len(residual) // 8)))
-    frequency, density = welch(residual, fs=1.0 / problem.windows[0].experiment.dt, nperseg=segment, axis=0)
+    frequency, density = welch(
+        residual, fs=1.0 / problem.windows[0].experiment.dt, nperseg=segment, axis=0
+    )
     return {"spectrum.frequency": frequency[1:], f"spectrum.{label}": np.sqrt(density[1:]).T}

@@ -15,8 +15,14 @@ from physid.identification.study import as_model
 from physid.plant.model import Model
 
 
-def check(model: Model | str | os.PathLike[str], records: Sequence[object],
-          truth: Mapping[str, float] | str | os.PathLike[str], *, within: float = 0.03, **options: Any) -> Result:
+def check(
+    model: Model | str | os.PathLike[str],
+    records: Sequence[object],
+    truth: Mapping[str, float] | str | os.PathLike[str],
+    *,
+    within: float = 0.03,
+    **options: Any,
+) -> Result:
     """Say whether the estimates agree with true parameters.
 
     Parameters
@@ -66,7 +72,9 @@ def _canonical(model: Model, name: str, truth: object) -> str:
         raise InputError(f"The {origin} names '{name}': {error}") from None
 
 
-def _row(name: str, truth: float, found: Mapping[str, Mapping[str, Any]], within: float) -> dict[str, Any]:
+def _row(
+    name: str, truth: float, found: Mapping[str, Mapping[str, Any]], within: float
+) -> dict[str, Any]:
     if name not in found:
         raise InputError(
             f"The truth names {name}, which is not fitted; name it in --fit or add its effect. "
@@ -98,14 +106,18 @@ def read_truth(path: Path) -> dict[str, float]:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "it is not text"
-        raise InputError(f"The truth file {path} cannot be read: {reason}; give a TOML file.") from None
+        raise InputError(
+            f"The truth file {path} cannot be read: {reason}; give a TOML file."
+        ) from None
     try:
         content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"The truth file {path} is not TOML: {error}.") from None
     flat = dict(_flat(content, path))
     if not flat:
-        raise InputError(f'The truth file {path} is empty; write lines such as "hinge.damping" = 0.02.')
+        raise InputError(
+            f'The truth file {path} is empty; write lines such as "hinge.damping" = 0.02.'
+        )
     return flat
 
 

@@ -83,10 +83,12 @@ def fit(model: Model | str | os.PathLike[str], records: Sequence[object], **opti
         "notes": [*study.notes, *fitted.notes],
         "simulation": simulation_row(fitted.problem, fitted.integration_error, fitted.confirmed),
     }
-    return Result(data=data, curves=curves_of(fitted), model=fitted.model)  # type: ignore[arg-type]
+    return Result(data=data, curves=curves_of(fitted), model=fitted.model)
 
 
-def compare(model: Model | str | os.PathLike[str], records: Sequence[object], **options: Any) -> Result:
+def compare(
+    model: Model | str | os.PathLike[str], records: Sequence[object], **options: Any
+) -> Result:
     """Compare a model with records; nothing is fitted but initial states, unless ``fit`` names it.
 
     Parameters
@@ -115,8 +117,9 @@ def compare(model: Model | str | os.PathLike[str], records: Sequence[object], **
         "notes": [*study.notes, *fitted.notes],
         "simulation": simulation_row(fitted.problem, fitted.integration_error, fitted.confirmed),
     }
-    return Result(data=data, curves={**curves_of(fitted), **latent_curves(lack)},
-                  model=fitted.model)  # type: ignore[arg-type]
+    return Result(
+        data=data, curves={**curves_of(fitted), **latent_curves(lack)}, model=fitted.model
+    )
 
 
 def _status(fitted: Fitted) -> str:
@@ -131,7 +134,9 @@ def parameters_of(fitted: Fitted) -> list[dict[str, object]]:
     """Return the contract's ``parameters`` of a fit."""
     problem = fitted.problem
     initial = {p.name: p.value for p in problem.parameters}
-    return parameter_rows(problem.parameters, fitted.estimate.theta, fitted.uncertainty.std_error, initial)
+    return parameter_rows(
+        problem.parameters, fitted.estimate.theta, fitted.uncertainty.std_error, initial
+    )
 
 
 def balance_row(fitted: Fitted) -> dict[str, object] | None:
@@ -206,7 +211,7 @@ def _bent(short: Problem, fitted: Fitted) -> Model:
 
 def _without_added(base: Fitted, better: Fitted) -> Model:
     """Return the better model without the effects that the base model does not have."""
-    model: Model = better.model  # type: ignore[assignment]
+    model: Model = better.model
     known = base.problem.model.effects
     kept = tuple(p for p in model.effects if any(p.same_site(q) for q in known))
     return replace(model, effects=kept)
@@ -217,7 +222,9 @@ def latent_curves(lack: Lack) -> dict[str, np.ndarray]:
     structure, latent = lack.model.structure, lack.forces
     curves: dict[str, np.ndarray] = {
         "latent.joints": np.array([f.joint for f in latent]),
-        "latent.kinds": np.array(["hinge" if structure.joint(f.joint).hinge else "slide" for f in latent]),
+        "latent.kinds": np.array(
+            ["hinge" if structure.joint(f.joint).hinge else "slide" for f in latent]
+        ),
     }
     for f in latent:
         for name in ("time", "position", "speed", "force"):

@@ -26,8 +26,8 @@ from physid.criticism.evidence import (
 )
 from physid.criticism.screening import Scored, possible_candidates, screen, shortlist
 from physid.effects.catalogue import CATALOGUE
-from physid.identification.output_error import Estimate, Problem
 from physid.errors import NumericsError
+from physid.identification.output_error import Estimate, Problem
 from physid.identification.staged import (
     ENOUGH,
     Spans,
@@ -103,7 +103,9 @@ class Diagnosis:
     notes: tuple[str, ...] = field(default=())
 
 
-def diagnose_study(study: Study, *, span: tuple[float, float] = (0.3, 0.95), named: float = NAMED) -> Diagnosis:
+def diagnose_study(
+    study: Study, *, span: tuple[float, float] = (0.3, 0.95), named: float = NAMED
+) -> Diagnosis:
     """Find what is missing in a study's model.
 
     Parameters
@@ -132,22 +134,29 @@ def diagnose_study(study: Study, *, span: tuple[float, float] = (0.3, 0.95), nam
         grounds.insert(0, (base.problems["long"], _undistorted(study, base.problems["long"])))
     groups = _screened(grounds, candidates, REFITS, TRIALS)
     for k, group in enumerate(groups):
-        _report(options, span, f"refitting {group[0].effect.name}", 0.2 + 0.4 * k / max(len(groups), 1))
+        _report(
+            options, span, f"refitting {group[0].effect.name}", 0.2 + 0.4 * k / max(len(groups), 1)
+        )
         found = refit(base, inner, _starts(group), group[0].scales, rank=k)
         if found is not None:
             fits.append(found)
     scales = {g[0].place: g[0].scales for g in groups}
     fits = _best_with_blocks(base, _with_siblings(base, fits, scales))
-    if fits and _explained(base, fits[0]) < WELL_NAMED and not _noise_like(base, fits[0]):
+    partnered = _wanting_partners(base, fits)
+    if partnered:
         _report(options, span, "trying pairs", 0.65)
-        fits = _best_with_blocks(base, [*fits, *_pairs(base, fits, candidates)])
+        fits = _best_with_blocks(base, [*fits, *_pairs(base, fits, partnered, candidates)])
     _report(options, span, "judging on data not used for the choice", 0.9)
     ranked = _ranked(base, judging, fits, max(len(candidates), 1))
     verdict, sentence = _verdict(study, base, ranked, named)
     _report(options, span, "diagnosed", 1.0)
     long = base.fits["long"].squares / base.problems["long"].measurements()
     return Diagnosis(
-        verdict=verdict, sentence=sentence, base=base, candidates=tuple(ranked), tried=len(candidates),
+        verdict=verdict,
+        sentence=sentence,
+        base=base,
+        candidates=tuple(ranked),
+        tried=len(candidates),
         noise_ratio=long,
     )
 
@@ -193,8 +202,12 @@ def _undistorted(study: Study, problem: Problem) -> Estimate:
     return replace(found, theta=study.theta)
 
 
-def _screened(grounds: Sequence[tuple[Problem, Estimate]],
-              candidates: Sequence[tuple[Effect, Place]], most: int, per_effect: int) -> list[list[Scored]]:
+def _screened(
+    grounds: Sequence[tuple[Problem, Estimate]],
+    candidates: Sequence[tuple[Effect, Place]],
+    most: int,
+    per_effect: int,
+) -> list[list[Scored]]:
     """Screen on several grounds and join the shortlists, alternating."""
     groups: dict[tuple[str, Place], list[Scored]] = {}
     lists = [
@@ -229,11 +242,15 @@ def _with_siblings(base: Base, fits: list[Refit], scales: dict[Place, Scales]) -
         if values is None:
             continue
         placed = Placed(effect, inner.place, values)
-        start = Start(placed, start_of(best.problem, best.fits["long"].theta, base.problems["long"]))
+        start = Start(
+            placed, start_of(best.problem, best.fits["long"].theta, base.problems["long"])
+        )
         found = refit(base, base.problems["long"], [start], scales[inner.place], rank=best.rank)
         if found is not None:
             same = [f for f in out if f.sites() == found.sites()]
-            if not same or _score(base, found, ("short", "long")) < _score(base, same[0], ("short", "long")):
+            if not same or _score(base, found, ("short", "long")) < _score(
+                base, same[0], ("short", "long")
+            ):
                 out = [f for f in out if f.sites() != found.sites()] + [found]
     return out
 
@@ -255,12 +272,12 @@ def _score(base: Base, fit: Refit, horizons: Sequence[str]) -> float:
     correlation time for the number of samples.
     """
     total = 0.0
-    sizes = []
+    sizes: list[float] = []
     for horizon in horizons:
         size = effective_samples(base, fit, horizon)
         sizes.append(size)
         total += size * np.log(max(fit.ratio(base, horizon), 1e-12))
-    return float(total / len(horizons) + fit.extra * np.log(max(np.mean(sizes), 2.0)))
+    return float(total / len(horizons) + fit.extra * np.log(max(float(np.mean(sizes)), 2.0)))
 
 
 def effective_samples(base: Base, fit: Refit, horizon: str) -> float:
@@ -294,28 +311,65 @@ def _different(fits: Sequence[Refit]) -> list[Refit]:
         own = fit.added[0]
         if not any(
             o.added[0].place == own.place
-            and (o.added[0].effect.name in own.effect.supersedes or own.effect.name in o.added[0].effect.supersedes)
+            and (
+                o.added[0].effect.name in own.effect.supersedes
+                or own.effect.name in o.added[0].effect.supersedes
+            )
             for o in kept
         ):
             kept.append(fit)
     return kept
 
 
-def _pairs(base: Base, fits: Sequence[Refit], candidates: Sequence[tuple[Effect, Place]]) -> list[Refit]:
-    """Try a second effect beside each of the best singles; keep a pair that halves what remains."""
+def _wanting_partners(base: Base, fits: Sequence[Refit]) -> list[Refit]:
+    """Return the singles beside which a second effect is looked for; none where one explains all.
+
+    An effect that contains a simpler one at its place may win only because its extra coefficients
+    imitate a second effect, so the simpler one gets its chance with a partner.
+    """
+    if not fits:
+        return []
+    best = fits[0]
+    simpler = [
+        f
+        for f in fits[1:]
+        if f.added[0].place == best.added[0].place
+        and f.added[0].effect.name in best.added[0].effect.supersedes
+    ]
+    if _explained(base, best) >= WELL_NAMED or _noise_like(base, best):
+        return [] if _noise_like(base, best) else simpler[:1]
+    return _different(fits)[:PARTNERS]
+
+
+def _pairs(
+    base: Base,
+    fits: Sequence[Refit],
+    singles: Sequence[Refit],
+    candidates: Sequence[tuple[Effect, Place]],
+) -> list[Refit]:
+    """Try a second effect beside some singles; keep a pair that halves what remains."""
     found: list[Refit] = []
     wanted = list(candidates)
-    for single in _different(fits)[:PARTNERS]:
+    for single in singles:
         problems = {h: single.problem.with_windows(base.problems[h].windows) for h in single.fits}
         rest = [
-            (effect, place) for effect, place in possible_candidates(problems["long"])
+            (effect, place)
+            for effect, place in possible_candidates(problems["long"])
             if (effect, place) in wanted
-            and not any(a.effect.name in effect.supersedes and a.place == place for a in single.added)
+            and not any(
+                a.effect.name in effect.supersedes and a.place == place for a in single.added
+            )
         ]
         grounds = [(problems[h], single.fits[h]) for h in single.fits]
         for group in _screened(grounds, rest, PARTNERS - 1, 1):
-            pair = refit(base, problems["long"], _starts(group), group[0].scales, rank=single.rank,
-                         already=single.added)
+            pair = refit(
+                base,
+                problems["long"],
+                _starts(group),
+                group[0].scales,
+                rank=single.rank,
+                already=single.added,
+            )
             if pair is None:
                 continue
             pair = with_block(base, pair)
@@ -334,21 +388,30 @@ def _halves(base: Base, single: Refit, pair: Refit, horizon: str) -> bool:
 def _ordered(base: Base, pair: Refit, singles: Sequence[Refit]) -> Refit:
     """Put the effect first that does more for whole stretches by itself."""
     horizon = "block" if "block" in base.fits else "long"
-    alone = {f.sites()[0]: f.fits[horizon].squares for f in singles if len(f.added) == 1 and horizon in f.fits}
+    alone = {
+        f.sites()[0]: f.fits[horizon].squares
+        for f in singles
+        if len(f.added) == 1 and horizon in f.fits
+    }
     worst = base.fits[horizon].squares
     order = sorted(range(len(pair.added)), key=lambda k: alone.get(pair.sites()[k], worst))
     return replace(pair, added=tuple(pair.added[k] for k in order))
 
 
-def _ranked(base: Base, judging: dict[str, Problem], fits: Sequence[Refit], tried: int) -> list[Candidate]:
+def _ranked(
+    base: Base, judging: dict[str, Problem], fits: Sequence[Refit], tried: int
+) -> list[Candidate]:
     out = []
     for fit in fits:
         judgement = judge(judging, base, fit)
         attempts = tried if len(fit.added) == 1 else tried * (tried - 1) // 2
         out.append(
             Candidate(
-                refit=fit, score=_score(base, fit, tuple(base.fits)), explained=_explained(base, fit),
-                p_value=min(1.0, judgement.p_value * max(attempts, 1)), judgement=judgement,
+                refit=fit,
+                score=_score(base, fit, tuple(base.fits)),
+                explained=_explained(base, fit),
+                p_value=min(1.0, judgement.p_value * max(attempts, 1)),
+                judgement=judgement,
             )
         )
     return [replace(c, alike=_alike(out, k)) for k, c in enumerate(out)]
@@ -357,13 +420,17 @@ def _ranked(base: Base, judging: dict[str, Problem], fits: Sequence[Refit], trie
 def _alike(candidates: Sequence[Candidate], k: int) -> tuple[int, ...]:
     own = candidates[k]
     return tuple(
-        i for i, other in enumerate(candidates)
-        if i != k and abs(other.score - own.score) < TOLD_APART
+        i
+        for i, other in enumerate(candidates)
+        if i != k
+        and abs(other.score - own.score) < TOLD_APART
         and not set(own.refit.sites()) < set(other.refit.sites())
     )
 
 
-def _verdict(study: Study, base: Base, ranked: Sequence[Candidate], named: float) -> tuple[Verdict, str]:
+def _verdict(
+    study: Study, base: Base, ranked: Sequence[Candidate], named: float
+) -> tuple[Verdict, str]:
     ratio = base.fits["long"].squares / base.problems["long"].measurements()
     if ranked and _real(base, ranked[0]):
         best = ranked[0]
@@ -394,9 +461,7 @@ def _real(base: Base, best: Candidate) -> bool:
     """Say whether the best candidate is more than chance: large enough, significant, and holding up."""
     share = 1.0 - min(best.refit.ratio(base, h) for h in best.refit.fits)
     held = 1.0 - best.judgement.squares_after / max(best.judgement.squares_before, 1e-300)
-    return (
-        best.score < -LEAST_GAIN and share > LEAST_SHARE and best.p_value < CHANCE and held > 0.0
-    )
+    return best.score < -LEAST_GAIN and share > LEAST_SHARE and best.p_value < CHANCE and held > 0.0
 
 
 def _grows(base: Base) -> bool:

@@ -75,7 +75,9 @@ class Refit:
         return self.fits[horizon].squares / max(base.fits[horizon].squares, 1e-300)
 
 
-def with_candidate(problem: Problem, added: Sequence[Placed], scales: Scales | None = None) -> Problem:
+def with_candidate(
+    problem: Problem, added: Sequence[Placed], scales: Scales | None = None
+) -> Problem:
     """Return the problem with effects added and their coefficients freed, within the place's limits."""
     limits = {c: b for p in added for c, b in p.effect.limits(scales).items()} if scales else {}
     model = problem.model
@@ -84,7 +86,9 @@ def with_candidate(problem: Problem, added: Sequence[Placed], scales: Scales | N
         model = model.with_effect(placed)
     fresh = [name for name in model.effect_parameters() if name not in before]
     kept = [
-        p for p in problem.parameters if "@" not in p.name or p.name in set(model.effect_parameters())
+        p
+        for p in problem.parameters
+        if "@" not in p.name or p.name in set(model.effect_parameters())
     ]
     extra = [_sized(model, name, limits.get(name.rsplit(".", 1)[1])) for name in fresh]
     return replace(problem, model=model, parameters=(*kept, *extra))
@@ -111,8 +115,15 @@ class Start:
     theta: np.ndarray
 
 
-def refit(base: Base, inner: Problem, starts: Sequence[Start], scales: Scales, *, rank: int,
-          already: tuple[Placed, ...] = ()) -> Refit | None:
+def refit(
+    base: Base,
+    inner: Problem,
+    starts: Sequence[Start],
+    scales: Scales,
+    *,
+    rank: int,
+    already: tuple[Placed, ...] = (),
+) -> Refit | None:
     """Fit a candidate from several starts, on short windows and then on long ones.
 
     Parameters
@@ -152,9 +163,13 @@ def _promising(base: Base, inner: Problem, starts: Sequence[Start], scales: Scal
         return list(starts)
     costs = []
     for start in starts:
-        trial = with_candidate(inner, (start.placed,), scales).with_windows(base.problems["long"].windows)
+        trial = with_candidate(inner, (start.placed,), scales).with_windows(
+            base.problems["long"].windows
+        )
         try:
-            fit = minimise(trial, start_of(inner, start.theta, trial), base.fits["long"].states, iterations=1)
+            fit = minimise(
+                trial, start_of(inner, start.theta, trial), base.fits["long"].states, iterations=1
+            )
             costs.append(fit.chi2)
         except (NumericsError, ModelError):
             costs.append(float("inf"))
@@ -175,13 +190,21 @@ def _by_balance(inner: Problem, starts: Sequence[Start]) -> list[Start]:
     trial = with_candidate(inner, (placed,))
     width = float(widths(experiments)[1])
     try:
-        theta = balance(trial.model, trial.parameters, experiments, width,
-                        hold=inner.windows[0].simulator.hold).theta
+        theta = balance(
+            trial.model, trial.parameters, experiments, width, hold=inner.windows[0].simulator.hold
+        ).theta
     except (np.linalg.LinAlgError, ValueError, ModelError):
         return []
     own = {p.name: v for p, v in zip(trial.parameters, theta, strict=True)}
-    values = {c.name: own[trial.model.coefficient_name(placed, c)] for c in placed.effect.coefficients}
-    return [Start(placed.with_values(values), np.array([own.get(p.name, p.value) for p in inner.parameters]))]
+    values = {
+        c.name: own[trial.model.coefficient_name(placed, c)] for c in placed.effect.coefficients
+    }
+    return [
+        Start(
+            placed.with_values(values),
+            np.array([own.get(p.name, p.value) for p in inner.parameters]),
+        )
+    ]
 
 
 def _logs(fit: Refit, base: Base) -> list[float]:
@@ -193,7 +216,9 @@ def _fit_horizons(base: Base, trial: Problem, start: np.ndarray) -> dict[str, Es
     long = trial.with_windows(base.problems["long"].windows)
     try:
         short_fit = minimise(brief, start, base.fits["short"].states, iterations=8, tolerance=2e-3)
-        long_fit = minimise(long, short_fit.theta, base.fits["long"].states, iterations=8, tolerance=2e-3)
+        long_fit = minimise(
+            long, short_fit.theta, base.fits["long"].states, iterations=8, tolerance=2e-3
+        )
         if long_fit.chi2 > 0.9 * base.fits["long"].chi2:
             other = minimise(long, start, base.fits["long"].states, iterations=8, tolerance=2e-3)
             long_fit = min(long_fit, other, key=lambda e: e.chi2)
@@ -263,8 +288,12 @@ def judge(judging: dict[str, Problem], base: Base, candidate: Refit) -> Judgemen
     )
 
 
-def _compare(problem: Problem, base: Base, candidate: Refit, horizon: str,
-             ) -> tuple[Estimate, Estimate, tuple[float, float]]:
+def _compare(
+    problem: Problem,
+    base: Base,
+    candidate: Refit,
+    horizon: str,
+) -> tuple[Estimate, Estimate, tuple[float, float]]:
     """Return the base's and the candidate's fits of initial states on judging windows, and two t-values."""
     theta = base.fits[horizon].theta
     old = replace(problem, model=at_values(problem.model, problem.parameters, theta))
@@ -314,8 +343,12 @@ def _t_value(direction: np.ndarray, residual: np.ndarray, channels: int) -> floa
 
 def nrmse(problem: Problem, estimate: Estimate) -> np.ndarray:
     """Return rms(measured - simulated) / rms(measured - mean) per channel over all windows, (ny,)."""
-    residual = np.concatenate([r.reshape(-1, r.shape[2]) for r in estimate.residuals]) * problem.sigma
-    measured = np.concatenate([w.measured().reshape(-1, len(problem.sigma)) for w in problem.windows])
+    residual = (
+        np.concatenate([r.reshape(-1, r.shape[2]) for r in estimate.residuals]) * problem.sigma
+    )
+    measured = np.concatenate(
+        [w.measured().reshape(-1, len(problem.sigma)) for w in problem.windows]
+    )
     spread = np.sqrt(np.mean((measured - measured.mean(axis=0)) ** 2, axis=0))
     return np.asarray(np.sqrt(np.mean(residual**2, axis=0)) / np.maximum(spread, 1e-300))
 

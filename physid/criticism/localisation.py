@@ -2,14 +2,14 @@
 
 The force that a joint lacks is found without differentiating anything: short force pulses on every
 joint are simulated, and the pulses that best explain the residual (initial states free) are the
-latent force.  A joint's share is that of the squares of its force, each relative to the force that acts
-there anyway.  Limits: what reverses within a pulse is not seen; joints that act on the sensors alike
-share what is found.
+latent force.  A joint's share is that of the squares of its force, each relative to the force that
+acts there anyway.  Limits: what reverses within a pulse is not seen.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import mujoco
 import numpy as np
@@ -28,7 +28,9 @@ from physid.plant.structure import Place
 
 PULSES = 28
 """Force pulses per window and joint, at most; one lasts four samples at least."""
-SPREADS = (0.3, 1.0, 3.0, 10.0, 30.0)
+MOST_COLUMNS = 150
+"""Pulses per window on all joints together, at most."""
+SPREADS = (0.01, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 """Tried for the size of the missing force, in pulses of 5 % of the force at a joint."""
 SEGMENTS = 10
 BINS = 4
@@ -37,7 +39,7 @@ PUSH = "physid_push_"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Latent:
-    """The force each joint lacks, per pulse: (n,) each per joint, and the joint's share of the misfit."""
+    """The force a joint lacks, per pulse, (n,) each, and the joint's share of all that is lacking."""
 
     joint: str
     share: float
@@ -71,9 +73,7 @@ def latent_forces(problem: Problem, estimate: Estimate) -> list[Latent]:
         for b, r in zip(point.bases, estimate.residuals, strict=True)
     ]
     count = pulses_of(problem)
-    forces = [
-        a.reshape(len(a), len(joints), count) for a in _solve(columns, point.bases, rest)
-    ]
+    forces = _solve(columns, point.bases, rest, len(joints))
     powers = np.sum([np.sum(f**2, axis=(0, 2)) for f in forces], axis=0)
     shares = powers / powers.sum() if powers.sum() > 0 else np.full(len(joints), 1.0 / len(joints))
     motion = [_pulse_motion(problem, estimate, e, count) for e in range(len(problem.windows))]
@@ -96,7 +96,8 @@ def latent_forces(problem: Problem, estimate: Estimate) -> list[Latent]:
 
 def pulses_of(problem: Problem) -> int:
     """Return the number of pulses per window: fewer where the engine must simulate each."""
-    most = PULSES if all(w.simulator.compiled for w in problem.windows) else PULSES // 2
+    most = min(PULSES, MOST_COLUMNS // len(problem.model.structure.joints))
+    most = most if all(w.simulator.compiled for w in problem.windows) else most // 2
     return max(1, min(most, *(w.samples // 4 for w in problem.windows)))
 
 
@@ -129,39 +130,53 @@ def _pulse_columns(problem: Problem, estimate: Estimate, sizes: np.ndarray) -> l
 
 
 def _solve(
-    columns: list[np.ndarray], bases: list[np.ndarray], rest: list[np.ndarray]
+    columns: list[np.ndarray], bases: list[np.ndarray], rest: list[np.ndarray], joints: int
 ) -> list[np.ndarray]:
-    """Return the pulses' most probable amplitudes (w, joints * pulses) per experiment.
+    """Return the pulses' most probable amplitudes (w, joints, pulses) per experiment.
 
-    All amplitudes have the same prior spread, in pulses; the one with the largest evidence is taken
-    (Bishop, Pattern recognition and machine learning, 2006, eq. 3.86, with unit noise).
+    The amplitudes of a joint have a common prior spread, and the spreads are those of the largest
+    evidence, so that of joints that act on the sensors alike one is taken and not a bit of each
+    (automatic relevance determination: MacKay, Neural computation 4, 1992; Bishop, Pattern recognition
+    and machine learning, 2006, eq. 3.86, with unit noise).
     """
-    pairs = [
-        (free, residual)
-        for block, basis, r in zip(columns, bases, rest, strict=True)
-        for free, residual in zip(project_out(basis, block), r, strict=True)
-    ]
-    spread = max(SPREADS, key=lambda s: sum(_evidence(free * s, r) for free, r in pairs))
-    amplitudes = [spread * _most_probable(free * spread, r)[0] for free, r in pairs]
+    free = [project_out(basis, block) for block, basis in zip(columns, bases, strict=True)]
+    grams = np.concatenate([c.transpose(0, 2, 1) @ c for c in free])
+    answers = np.concatenate(
+        [np.einsum("wmk,wm->wk", c, r) for c, r in zip(free, rest, strict=True)]
+    )
+    spreads = _most_evident(grams, answers, joints)
+    scale = np.repeat(spreads, grams.shape[1] // joints)
+    amplitudes = scale * _most_probable(scale, grams, answers)[0]
     edges = np.cumsum([len(r) for r in rest])[:-1]
-    return [np.stack(part) for part in _split(amplitudes, edges)]
+    shaped = amplitudes.reshape(len(amplitudes), joints, -1)
+    return [np.asarray(part) for part in np.split(shaped, edges)]
 
 
-def _split(rows: list[np.ndarray], edges: np.ndarray) -> list[list[np.ndarray]]:
-    bounds = [0, *(int(e) for e in edges), len(rows)]
-    return [rows[a:b] for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+def _most_evident(grams: np.ndarray, answers: np.ndarray, joints: int) -> np.ndarray:
+    """Return the prior spreads (joints,) of the largest evidence, joint after joint, in two rounds."""
+    count = grams.shape[1] // joints
+
+    def evidence(spreads: np.ndarray) -> float:
+        scale = np.repeat(spreads, count)
+        explained, logarithm = _most_probable(scale, grams, answers)[1:]
+        return explained - logarithm
+
+    best = max((np.full(joints, s) for s in SPREADS), key=evidence)
+    for joint in (*range(joints), *range(joints)) if joints > 1 else ():
+        choices = [np.where(np.arange(joints) == joint, s, best) for s in SPREADS]
+        best = max(choices, key=evidence)
+    return best
 
 
-def _most_probable(columns: np.ndarray, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the amplitudes (k,) of columns (m, k) with a unit prior, and their precision (k, k)."""
-    precision = columns.T @ columns + np.eye(columns.shape[1])
-    return np.linalg.solve(precision, columns.T @ residual), precision
-
-
-def _evidence(columns: np.ndarray, residual: np.ndarray) -> float:
-    """Return the logarithm of a residual's probability under unit pulses and unit noise."""
-    amplitudes, precision = _most_probable(columns, residual)
-    return float(residual @ columns @ amplitudes - np.linalg.slogdet(precision)[1])
+def _most_probable(
+    scale: np.ndarray, grams: np.ndarray, answers: np.ndarray
+) -> tuple[np.ndarray, float, float]:
+    """Return amplitudes (w, k) in prior spreads, the squares explained, and the log determinant."""
+    precision = grams * np.outer(scale, scale) + np.eye(len(scale))
+    scaled = answers * scale
+    amplitudes = np.linalg.solve(precision, scaled[:, :, None])[:, :, 0]
+    logarithm = np.linalg.slogdet(precision)[1].sum()
+    return amplitudes, float(np.sum(scaled * amplitudes)), float(logarithm)
 
 
 def _pulse_motion(
@@ -178,11 +193,15 @@ def _pulse_motion(
     return times, np.nan_to_num(run.states[:, middle])
 
 
-def where(problem: Problem, estimate: Estimate, latent: list[Latent], channels: list[str]) -> dict[str, object]:
+def where(
+    problem: Problem, estimate: Estimate, latent: list[Latent], channels: list[str]
+) -> dict[str, object]:
     """Return the contract's ``where`` of whole-record residuals and latent forces."""
     del channels
     return {
-        "joints": [{"name": f.joint, "share": f.share} for f in sorted(latent, key=lambda f: -f.share)],
+        "joints": [
+            {"name": f.joint, "share": f.share} for f in sorted(latent, key=lambda f: -f.share)
+        ],
         "times": _times(problem, estimate),
         "bands": _bands(problem, estimate),
         "position_speed": _position_speed(max(latent, key=lambda f: f.share)) if latent else [],
@@ -200,14 +219,16 @@ def _times(problem: Problem, estimate: Estimate) -> list[dict[str, float]]:
             "end": float(time[min(b, len(time) - 1)]),
             "share": float(energy[a:b].sum() / total),
         }
-        for a, b in zip(edges[:-1], edges[1:], strict=True)
+        for a, b in pairwise(edges)
     ]
 
 
 def _bands(problem: Problem, estimate: Estimate) -> list[dict[str, float]]:
     residual = estimate.residuals[0][0]
     dt = problem.windows[0].experiment.dt
-    power = np.sum(np.abs(np.fft.rfft(residual * np.hanning(len(residual))[:, None], axis=0)) ** 2, axis=1)
+    power = np.sum(
+        np.abs(np.fft.rfft(residual * np.hanning(len(residual))[:, None], axis=0)) ** 2, axis=1
+    )
     frequency = np.fft.rfftfreq(len(residual), dt)
     total = float(power.sum()) or 1.0
     edges = [0.0, *(0.5 / dt * 2.0 ** np.arange(-8, 1))]
@@ -217,12 +238,13 @@ def _bands(problem: Problem, estimate: Estimate) -> list[dict[str, float]]:
             "high_hz": float(b),
             "share": float(power[(frequency >= a) & (frequency < b)].sum() / total),
         }
-        for a, b in zip(edges[:-1], edges[1:], strict=True)
+        for a, b in pairwise(edges)
     ]
 
 
 def _position_speed(latent: Latent) -> list[dict[str, object]]:
     """Return the latent force of one joint averaged over a grid of position and speed."""
+
     def edges(z: np.ndarray) -> np.ndarray:
         low, high = np.percentile(z, [2, 98])
         return np.linspace(low, high if high > low else low + 1e-12, BINS + 1)
@@ -230,9 +252,14 @@ def _position_speed(latent: Latent) -> list[dict[str, object]]:
     rows, columns = edges(latent.position), edges(latent.speed)
     total = float(np.sum(latent.force**2)) or 1.0
     cells = []
-    for a, b in zip(rows[:-1], rows[1:], strict=True):
-        for c, d in zip(columns[:-1], columns[1:], strict=True):
-            inside = (latent.position >= a) & (latent.position < b) & (latent.speed >= c) & (latent.speed < d)
+    for a, b in pairwise(rows):
+        for c, d in pairwise(columns):
+            inside = (
+                (latent.position >= a)
+                & (latent.position < b)
+                & (latent.speed >= c)
+                & (latent.speed < d)
+            )
             if inside.any():
                 cells.append(
                     {

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from physid.criticism.account import (
@@ -15,32 +14,27 @@ from physid.criticism.account import (
     effect_row,
     finite,
     nrmse_by_channel,
-    record_curves,
     record_rows,
-    residual_curves,
     simulation_row,
-    spectrum_curves,
     worst_channels,
 )
 from physid.criticism.comparison import (
+    Lack,
     Result,
     balance_row,
-    correlation_curves,
-    Lack,
     lack_of,
-    latent_curves,
     parameters_of,
 )
 from physid.criticism.diagnosis import NAMED, NAMED_BESIDE, Candidate, Diagnosis, diagnose_study
 from physid.criticism.evidence import start_of, with_candidate
 from physid.criticism.localisation import where
+from physid.criticism.pictures import diagnosis_curves, tested_curves
 from physid.effects.catalogue import load_model_text
 from physid.identification.fitting import Fitted, fit_study
 from physid.identification.output_error import Estimate, Problem, minimise
 from physid.identification.staged import states_only
 from physid.identification.study import Options, Study, as_model, experiments_of, prepare
 from physid.identification.windows import whole
-from physid.plant.callback import run_time_laws
 from physid.plant.effect import Placed
 from physid.plant.model import Model
 
@@ -48,7 +42,9 @@ MOST_ROUNDS = 4
 """Diagnoses in one refinement at most."""
 
 
-def diagnose(model: Model | str | os.PathLike[str], records: Sequence[object], **options: Any) -> Result:
+def diagnose(
+    model: Model | str | os.PathLike[str], records: Sequence[object], **options: Any
+) -> Result:
     """Name the physical effect a model lacks, and where, with evidence; or that none is missing.
 
     Parameters
@@ -71,7 +67,7 @@ def diagnose(model: Model | str | os.PathLike[str], records: Sequence[object], *
     return Result(
         data=diagnosis_data(study, found, base, lack),
         curves=diagnosis_curves(study, base, best, lack),
-        model=base.model,  # type: ignore[arg-type]
+        model=base.model,
     )
 
 
@@ -111,8 +107,12 @@ def candidate_rows(study: Study, found: Diagnosis) -> list[dict[str, Any]]:
             {
                 "effects": [effect_row(fitted, p) for p in candidate.refit.fitted],
                 "p_value": finite(candidate.p_value),
-                "nrmse_before": dict(zip(names, map(finite, candidate.judgement.before), strict=True)),
-                "nrmse_after": dict(zip(names, map(finite, candidate.judgement.after), strict=True)),
+                "nrmse_before": dict(
+                    zip(names, map(finite, candidate.judgement.before), strict=True)
+                ),
+                "nrmse_after": dict(
+                    zip(names, map(finite, candidate.judgement.after), strict=True)
+                ),
                 "indistinguishable_from": [
                     [{"effect": e, "location": p} for e, p in found.candidates[k].refit.sites()]
                     for k in candidate.alike
@@ -123,28 +123,6 @@ def candidate_rows(study: Study, found: Diagnosis) -> list[dict[str, Any]]:
             }
         )
     return rows
-
-
-def diagnosis_curves(
-    study: Study, base: Fitted, best: Fitted | None, lack: Lack
-) -> dict[str, np.ndarray]:
-    """Return the pictures' curves of a diagnosis."""
-    shown = best or base
-    curves = {
-        "records": np.array(len(base.problem.windows)),
-        "inputs": np.array(base.problem.model.structure.inputs),
-        **record_curves(base.problem, base.estimate, "before"),
-        **residual_curves(base.problem, base.estimate, "_before"),
-        **residual_curves(shown.problem, shown.estimate),
-        **spectrum_curves(base.problem, base.estimate, "before"),
-        **latent_curves(lack),
-        **correlation_curves(shown),
-    }
-    if best is not None:
-        curves |= record_curves(best.problem, best.estimate, "after")
-        curves |= spectrum_curves(best.problem, best.estimate, "after")
-        curves |= law_curves(study, lack, best)
-    return curves
 
 
 def with_effects(study: Study, candidate: Candidate) -> Study:
@@ -172,8 +150,13 @@ class Refinement(Result):
     xml: str = field(default="")
 
 
-def refine(model: Model | str | os.PathLike[str], records: Sequence[object], *, test: Sequence[object] = (),
-           **options: Any) -> Refinement:
+def refine(
+    model: Model | str | os.PathLike[str],
+    records: Sequence[object],
+    *,
+    test: Sequence[object] = (),
+    **options: Any,
+) -> Refinement:
     """Diagnose, add, refit, and again while something is missing.
 
     Parameters
@@ -209,8 +192,11 @@ def refine(model: Model | str | os.PathLike[str], records: Sequence[object], *, 
         best = found.candidates[0]
         steps += _added_one_by_one(study, tests, found)
         study = replace(
-            with_effects(study, best), theta=steps[-1].fitted.estimate.theta,
-            problem=replace(with_effects(study, best).problem, parameters=steps[-1].fitted.problem.parameters),
+            with_effects(study, best),
+            theta=steps[-1].fitted.estimate.theta,
+            problem=replace(
+                with_effects(study, best).problem, parameters=steps[-1].fitted.problem.parameters
+            ),
         )
     assert first is not None
     settings.report("writing the refined model", 0.95)
@@ -233,9 +219,13 @@ def _added_one_by_one(study: Study, tests: Sequence[object], found: Diagnosis) -
     return steps
 
 
-def _step(study: Study, tests: Sequence[Any], added: tuple[Placed, ...], p_value: float | None) -> Step:
+def _step(
+    study: Study, tests: Sequence[Any], added: tuple[Placed, ...], p_value: float | None
+) -> Step:
     fitted = fit_study(study)
-    return Step(added=added, fitted=fitted, tested=_tested(fitted.model, fitted, tests), p_value=p_value)  # type: ignore[arg-type]
+    return Step(
+        added=added, fitted=fitted, tested=_tested(fitted.model, fitted, tests), p_value=p_value
+    )
 
 
 def _tested(model: Model, fitted: Fitted, tests: Sequence[Any]) -> tuple[Problem, Estimate] | None:
@@ -248,9 +238,11 @@ def _tested(model: Model, fitted: Fitted, tests: Sequence[Any]) -> tuple[Problem
     return problem, states_only(problem)
 
 
-def _refinement(study: Study, tests: Sequence[Any], steps: list[Step], first: Diagnosis, remaining: str) -> Refinement:
+def _refinement(
+    study: Study, tests: Sequence[Any], steps: list[Step], first: Diagnosis, remaining: str
+) -> Refinement:
     last = steps[-1].fitted
-    xml = last.model.to_xml(last.problem.windows[0].simulator.step)  # type: ignore[attr-defined]
+    xml = last.model.to_xml(last.problem.windows[0].simulator.step)
     steps[-1], reread = _from_file(steps[-1], xml, tests)
     train = channel_rows(last.problem, steps[-1].fitted.estimate)
     records = record_rows(last.problem, train, "train")
@@ -276,7 +268,7 @@ def _refinement(study: Study, tests: Sequence[Any], steps: list[Step], first: Di
     }
     if first.verdict != "effect_missing":
         data["sentence"] = first.sentence
-    return Refinement(data=data, curves=_refinement_curves(study, steps, lack), model=last.model, xml=xml)  # type: ignore[arg-type]
+    return Refinement(data=data, curves=_curves(study, steps, lack), model=last.model, xml=xml)
 
 
 def _without_starts(
@@ -300,8 +292,13 @@ def _from_file(step: Step, xml: str, tests: Sequence[Any]) -> tuple[Step, list[s
     change = abs(np.sqrt(estimate.squares / max(fitted.estimate.squares, 1e-300)) - 1.0)
     notes = []
     if change > 0.01:
-        notes.append(f"The written file's misfit differs from the fit's by {100 * change:.1f} % (six digits).")
-    kept = replace(fitted, estimate=replace(fitted.estimate, states=estimate.states, residuals=estimate.residuals))
+        notes.append(
+            f"The written file's misfit differs from the fit's by {100 * change:.1f} % (six digits)."
+        )
+    kept = replace(
+        fitted,
+        estimate=replace(fitted.estimate, states=estimate.states, residuals=estimate.residuals),
+    )
     tested = None
     if tests:
         windows = tuple(whole(e, replace(problem.windows[0].simulator, dt=e.dt)) for e in tests)
@@ -313,9 +310,12 @@ def _from_file(step: Step, xml: str, tests: Sequence[Any]) -> tuple[Step, list[s
 def _step_row(step: Step) -> dict[str, Any]:
     fitted = step.fitted
     model = fitted.model
-    std = dict(zip((p.name for p in fitted.problem.parameters), fitted.uncertainty.std_error, strict=True))
+    std = dict(
+        zip((p.name for p in fitted.problem.parameters), fitted.uncertainty.std_error, strict=True)
+    )
     values = [
-        next(q for q in model.effects if q.same_site(p)) for p in step.added  # type: ignore[attr-defined]
+        next(q for q in model.effects if q.same_site(p))
+        for p in step.added
     ]
     return {
         "added": [effect_row(fitted.problem.model, p, std) for p in values],
@@ -325,70 +325,11 @@ def _step_row(step: Step) -> dict[str, Any]:
     }
 
 
-def _refinement_curves(study: Study, steps: Sequence[Step], lack: Lack) -> dict[str, np.ndarray]:
+def _curves(study: Study, steps: Sequence[Step], lack: Lack) -> dict[str, np.ndarray]:
     base, last = steps[0], steps[-1]
-    trains = len(base.fitted.problem.windows)
-    after = last.fitted if len(steps) > 1 else None
-    curves = diagnosis_curves(study, base.fitted, after, lack)
-    if base.tested is not None and last.tested is not None:
-        curves |= record_curves(*base.tested, "before", trains)
-        if len(steps) > 1:
-            curves |= record_curves(*last.tested, "after", trains)
-        curves["records"] = np.array(trains + len(base.tested[0].windows))
+    grown = len(steps) > 1
+    curves = diagnosis_curves(study, base.fitted, last.fitted if grown else None, lack)
+    if base.tested is not None:
+        trains = len(base.fitted.problem.windows)
+        curves |= tested_curves(base.tested, last.tested if grown else None, trains)
     return curves
-
-
-def law_curves(study: Study, lack: Lack, best: Fitted) -> dict[str, np.ndarray]:
-    """Return what the refined model adds at the joint of the first effect added at one.
-
-    It is the effect's law, together with what the joint's own damping and stiffness had done in its
-    place in the base model whose missing force is drawn; both from the engine's inverse dynamics.
-    """
-    model: Model = best.model  # type: ignore[assignment]
-    before = {(p.effect.name, p.place) for p in lack.model.effects}
-    new = [p for p in model.effects if (p.effect.name, p.place) not in before]
-    added = [p for p in new if p.place.kind == "joint"]
-    if not added:
-        return {}
-    placed = added[0]
-    axis = "speed" if placed.effect.family == "friction" else "position"
-    joint = model.structure.joint(placed.place.name)
-    span = _span(study, joint.name, axis)
-    step = best.problem.windows[0].simulator.step
-    own = {k: v for k, v in lack.model.values.items() if k.startswith(model.structure.label(placed.place) + ".")}
-    kept = tuple(p for p in model.effects if p not in new or p.place != placed.place)
-    without = replace(model, effects=kept).with_values(own)
-    needed = [_inverse_force(m, step, joint, axis, span) for m in (without, model)]
-    return {
-        "law.x": span,
-        "law.y": needed[0] - needed[1],
-        "law.label": np.array(f"{placed.effect.name.replace('_', ' ')} at {joint.name}"),
-        "law.joint": np.array(joint.name),
-        "law.axis": np.array(axis),
-    }
-
-
-def _span(study: Study, joint: str, axis: str) -> np.ndarray:
-    from physid.identification.experiment import ranges_of
-
-    ranges = ranges_of(study.model, study.experiments)
-    limit = (ranges.speed if axis == "speed" else ranges.position)[study.model.structure.joint(joint).dof]
-    return np.linspace(-limit, limit, 401)
-
-
-def _inverse_force(model: Model, step: float, joint: Any, axis: str, span: np.ndarray) -> np.ndarray:
-    """Return the force needed to hold a joint still at positions, or to move it at steady speeds."""
-    plant = model.compile(step)
-    data = mujoco.MjData(plant.model)
-    needed = np.empty(len(span))
-    with run_time_laws([plant]):
-        for i, x in enumerate(span):
-            data.qpos[:] = plant.model.qpos0
-            data.qvel[:] = 0.0
-            data.qacc[:] = 0.0
-            (data.qvel if axis == "speed" else data.qpos)[joint.dof if axis == "speed" else joint.qpos] = x
-            mujoco.mj_inverse(plant.model, data)
-            mujoco.mj_fwdActuation(plant.model, data)
-            needed[i] = data.qfrc_inverse[joint.dof] - data.qfrc_actuator[joint.dof]
-    return needed
-

@@ -1,8 +1,8 @@
-"""Residual tests: is what is left white, and does it still follow the input?
+"""Residual tests: whether what is left is white, and whether it still follows the input.
 
 As in MATLAB's ``resid`` (Ljung, System identification, 2nd ed., section 16.6): the autocorrelation
-against its 99 % band, jointly over the lags, and the cross-correlation with every input against a band
-that allows for the colour of both (Bartlett's formula).
+against its 99 % band, jointly over the lags, and the cross-correlation with every input against a
+band that allows for the colour of both (Bartlett's formula).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def autocorrelation(residual: np.ndarray, lags: int = LAGS) -> np.ndarray:
     n = len(r)
     power = np.abs(np.fft.rfft(r, 2 * n)) ** 2
     acf = np.fft.irfft(power)[: min(lags, n - 1) + 1]
-    return np.asarray(acf / acf[0]) if acf[0] > 0 else np.zeros_like(acf)
+    return np.asarray(acf / acf[0] if acf[0] > 0 else np.zeros(len(acf)))
 
 
 def cross_correlation(residual: np.ndarray, signal: np.ndarray, lags: int = LAGS) -> np.ndarray:
@@ -29,7 +29,8 @@ def cross_correlation(residual: np.ndarray, signal: np.ndarray, lags: int = LAGS
     size = np.linalg.norm(r) * np.linalg.norm(u)
     if size <= 0:
         return np.zeros(lags + 1)
-    return np.array([float(r[k:] @ u[: len(u) - k]) for k in range(lags + 1)]) / size
+    products = [float(r[k:] @ u[: len(u) - k]) / float(size) for k in range(lags + 1)]
+    return np.array(products)
 
 
 def white_band(samples: int, tests: int = 1) -> float:
@@ -56,5 +57,6 @@ def follows_input(residual: np.ndarray, inputs: np.ndarray) -> bool:
     moving = [u for u in inputs.T if np.ptp(u) > 0]
     tests = (LAGS + 1) * max(len(moving), 1)
     return any(
-        np.abs(cross_correlation(residual, u)).max() > cross_band(residual, u, tests) for u in moving
+        np.abs(cross_correlation(residual, u)).max() > cross_band(residual, u, tests)
+        for u in moving
     )

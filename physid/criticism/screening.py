@@ -65,7 +65,9 @@ def possible_candidates(problem: Problem) -> list[tuple[Effect, Place]]:
             contained = any(
                 effect.name in p.effect.supersedes and p.place == place for p in model.effects
             )
-            if not (own in freed or present or contained or _inertia_is_free(effect, place, problem)):
+            if not (
+                own in freed or present or contained or _inertia_is_free(effect, place, problem)
+            ):
                 found.append((effect, place))
     return found
 
@@ -114,8 +116,11 @@ def scales_of(problem: Problem, estimate: Estimate) -> dict[Place, Scales]:
     for joint in structure.joints:
         rest = plant.model.qpos_spring[joint.qpos]
         found[Place("joint", joint.name)] = _scales(
-            states[:, joint.qpos] - rest, states[:, structure.nq + joint.dof], acceleration[:, joint.dof],
-            float(size[joint.dof]), dt,
+            states[:, joint.qpos] - rest,
+            states[:, structure.nq + joint.dof],
+            acceleration[:, joint.dof],
+            float(size[joint.dof]),
+            dt,
         )
     for place in structure.of_kind("tendon"):
         i = element_id(plant.model, place)
@@ -125,8 +130,11 @@ def scales_of(problem: Problem, estimate: Estimate) -> dict[Place, Scales]:
         length = states[:, :nv] @ row - plant.model.tendon_lengthspring[i].mean()
         used = np.abs(row) > 0
         found[place] = _scales(
-            length, states[:, nv : 2 * nv] @ row, acceleration @ row,
-            float(np.min(size[used] / np.abs(row[used]))), dt,
+            length,
+            states[:, nv : 2 * nv] @ row,
+            acceleration @ row,
+            float(np.min(size[used] / np.abs(row[used]))),
+            dt,
         )
     for k, name in enumerate(structure.inputs):
         u = np.concatenate([w.experiment.inputs[:, k] for w in problem.windows])
@@ -141,8 +149,13 @@ def _scales(x: np.ndarray, v: np.ndarray, a: np.ndarray, force: float, dt: float
         return float(np.sqrt(np.mean(z**2))) or 1e-12
 
     return Scales(
-        position=rms(x), speed=rms(v), acceleration=rms(a), force=force,
-        travel=float(np.ptp(x)), largest=float(np.abs(x).max()) or 1e-12, dt=dt,
+        position=rms(x),
+        speed=rms(v),
+        acceleration=rms(a),
+        force=force,
+        travel=float(np.ptp(x)),
+        largest=float(np.abs(x).max()) or 1e-12,
+        dt=dt,
     )
 
 
@@ -153,8 +166,12 @@ def _visited(problem: Problem, estimate: Estimate) -> tuple[np.ndarray, np.ndarr
         simulator, experiment = windows.simulator, windows.experiment
         plant = problem.plant(estimate.theta, simulator.step)
         controls = simulator.controls(plant, experiment.inputs)
-        initial = with_activations(plant, controls, estimate.states[e], windows.starts, simulator.substeps)
-        run = simulator.run([plant], [initial], experiment.inputs, windows.starts, windows.samples)[0]
+        initial = with_activations(
+            plant, controls, estimate.states[e], windows.starts, simulator.substeps
+        )
+        run = simulator.run([plant], [initial], experiment.inputs, windows.starts, windows.samples)[
+            0
+        ]
         flat = run.states.reshape(-1, run.states.shape[2])
         rows = (windows.starts[:, None] + np.arange(windows.samples)).ravel()
         good = np.flatnonzero(np.isfinite(flat).all(axis=1))
@@ -182,7 +199,11 @@ def ground_of(problem: Problem, estimate: Estimate) -> Ground:
     basis = orthonormal(point.projected)
     remaining = point.remaining - basis @ (basis.T @ point.remaining)
     return Ground(
-        problem=problem, estimate=estimate, point=point, basis=basis, remaining=remaining,
+        problem=problem,
+        estimate=estimate,
+        point=point,
+        basis=basis,
+        remaining=remaining,
         scales=scales_of(problem, estimate),
     )
 
@@ -214,7 +235,9 @@ def thinned_fit(problem: Problem, estimate: Estimate) -> tuple[Problem, Estimate
     )
 
 
-def screen(problem: Problem, estimate: Estimate, candidates: Sequence[tuple[Effect, Place]]) -> list[Scored]:
+def screen(
+    problem: Problem, estimate: Estimate, candidates: Sequence[tuple[Effect, Place]]
+) -> list[Scored]:
     """Score every candidate; best first.
 
     Parameters
@@ -238,11 +261,15 @@ def screen(problem: Problem, estimate: Estimate, candidates: Sequence[tuple[Effe
     return sorted(found, key=lambda s: -s.gain)
 
 
-def _score(ground: Ground, effect: Effect, place: Place, trial: Trial, scales: Scales) -> Scored | None:
+def _score(
+    ground: Ground, effect: Effect, place: Place, trial: Trial, scales: Scales
+) -> Scored | None:
     directions = []
     base = ground.estimate.residuals
     for values in trial.columns:
-        changed = replace(ground.problem, model=ground.problem.model.with_effect(Placed(effect, place, values)))
+        changed = replace(
+            ground.problem, model=ground.problem.model.with_effect(Placed(effect, place, values))
+        )
         try:
             run = residuals_of(changed, [ground.estimate.theta], [ground.estimate.states])[0]
         except ModelError:
@@ -276,11 +303,14 @@ def _making_room(ground: Ground, response: np.ndarray) -> np.ndarray:
     if not len(theta):
         return theta
     sizes = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    change = np.linalg.lstsq(columns / sizes, ground.point.remaining - response, rcond=1e-6)[0] / sizes
+    change = (
+        np.linalg.lstsq(columns / sizes, ground.point.remaining - response, rcond=1e-6)[0] / sizes
+    )
     parameters = ground.problem.parameters
     reach = np.array([0.7 * max(abs(t), p.scale) for p, t in zip(parameters, theta, strict=True)])
     moved = theta + np.clip(change, -reach, reach)
-    return np.clip(moved, [p.lower for p in parameters], [p.upper for p in parameters])
+    lower, upper = [p.lower for p in parameters], [p.upper for p in parameters]
+    return np.asarray(np.clip(moved, lower, upper))
 
 
 def shortlist(scored: Sequence[Scored], most: int, per_effect: int = 2) -> list[list[Scored]]:

@@ -21,9 +21,17 @@ GOOD_ENOUGH = 1e-6
 """Integration error relative to the outputs' spread."""
 
 
-def simulate(model: Model | str | os.PathLike[str], record: Record | str | os.PathLike[str] | None = None, *,
-             excite: str | None = None, add: Sequence[str] = (), hold: str | None = None,
-             rename: Mapping[str, str] | None = None, seed: int = 0, **_unused: Any) -> Record:
+def simulate(
+    model: Model | str | os.PathLike[str],
+    record: Record | str | os.PathLike[str] | None = None,
+    *,
+    excite: str | None = None,
+    add: Sequence[str] = (),
+    hold: str | None = None,
+    rename: Mapping[str, str] | None = None,
+    seed: int = 0,
+    **_unused: Any,
+) -> Record:
     """Simulate a model.
 
     Parameters
@@ -54,9 +62,13 @@ def simulate(model: Model | str | os.PathLike[str], record: Record | str | os.Pa
     """
     loaded, free = add_effects(as_model(model), add)
     if free:
-        raise InputError(f"{free[0]} has no value; a simulation needs one: write --add EFFECT@LOCATION:parameter=value.")
+        raise InputError(
+            f"{free[0]} has no value; a simulation needs one: write --add EFFECT@LOCATION:parameter=value."
+        )
     if (record is None) == (excite is None):
-        raise InputError("Give either an input record (--input) or an excitation (--excite), not both or neither.")
+        raise InputError(
+            "Give either an input record (--input) or an excitation (--excite), not both or neither."
+        )
     time, inputs, path = _inputs(loaded, record, excite, rename or {}, seed)
     held: Hold = hold if hold in ("first", "smooth") else "zero"  # type: ignore[assignment]
     outputs = _simulated(loaded, time, inputs, held)
@@ -64,13 +76,22 @@ def simulate(model: Model | str | os.PathLike[str], record: Record | str | os.Pa
     return Record(time=time, columns=tuple(names), values=np.hstack([inputs, outputs]), path=path)
 
 
-def _inputs(model: Model, record: Record | str | os.PathLike[str] | None, excite: str | None,
-            rename: Mapping[str, str], seed: int) -> tuple[np.ndarray, np.ndarray, str]:
+def _inputs(
+    model: Model,
+    record: Record | str | os.PathLike[str] | None,
+    excite: str | None,
+    rename: Mapping[str, str],
+    seed: int,
+) -> tuple[np.ndarray, np.ndarray, str]:
     structure = model.structure
     if excite is not None:
         return _excited(model, excite, seed)
-    source = record if isinstance(record, Record) else load_record(
-        record, rename=rename, held=structure.inputs, only=structure.inputs  # type: ignore[arg-type]
+    assert record is not None
+    names = structure.inputs
+    source = (
+        record
+        if isinstance(record, Record)
+        else load_record(record, rename=rename, held=names, only=names)
     )
     missing = [n for n in structure.inputs if n not in source.columns]
     if missing:

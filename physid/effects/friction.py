@@ -16,6 +16,8 @@ from physid.plant.structure import Place
 
 SMALL = 0.02
 """Size of a screened effect relative to the forces at its place: small enough to be linear."""
+HIGHEST_RISE = 5.0
+"""Largest breakaway force relative to sliding friction that is still Stribeck's."""
 UNEVEN = 0.1
 """Smallest difference between the directions, relative to the mean, that is called asymmetric."""
 COULOMB = "Coulomb 1785; Olsson et al., Friction models and friction compensation, EJC 4 (1998)"
@@ -181,7 +183,8 @@ class StribeckFriction(Effect):
         return {"stribeck_velocity": (1e-3 * scales.speed, 0.5 * scales.speed)}
 
     def plausible(self, values: Mapping[str, float], scales: Scales) -> bool:
-        return values["static_force"] > 1.05 * values["force"] > 0.0
+        force, static = values["force"], values["static_force"]
+        return 1.05 * force < static < HIGHEST_RISE * force
 
     def start(self, trial: Trial, amplitudes: np.ndarray, scales: Scales) -> dict[str, float]:
         size = trial.columns[0]["force"]

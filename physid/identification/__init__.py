@@ -1,1 +1,1 @@
-"""physid.identification"""
+"""Belief fitted to measurement: output error, force balance, noise, uncertainty."""

@@ -9,7 +9,7 @@ import numpy as np
 from physid.identification.output_error import Problem, residuals_of
 from physid.identification.windows import Windows
 
-FINEST = 32
+FINEST = 16
 """Most steps per sample."""
 SHARE = 0.1
 """Allowed integration error as a share of the noise."""
@@ -17,8 +17,12 @@ SHARE_OF_MISFIT = 0.01
 """... or of the misfit, where that is larger."""
 
 
-def refine_steps(problem: Problem, theta: np.ndarray, states: list[np.ndarray], at_least: int = 1,
-                 ) -> tuple[Problem, float]:
+def refine_steps(
+    problem: Problem,
+    theta: np.ndarray,
+    states: list[np.ndarray],
+    at_least: int = 1,
+) -> tuple[Problem, float]:
     """Choose the number of RK4 steps per sample so that integration error does not matter.
 
     Halves the step until halving it once more changes the simulated outputs by less than a tenth of
@@ -49,7 +53,9 @@ def _finer(windows: Windows, substeps: int) -> Windows:
     return replace(windows, simulator=windows.simulator.with_substeps(substeps))
 
 
-def _simulate(problem: Problem, theta: np.ndarray, states: list[np.ndarray], substeps: int) -> list[np.ndarray]:
+def _simulate(
+    problem: Problem, theta: np.ndarray, states: list[np.ndarray], substeps: int
+) -> list[np.ndarray]:
     return residuals_of(with_substeps(problem, substeps), [theta], [states])[0]
 
 

@@ -10,9 +10,9 @@ from scipy.signal import savgol_filter
 
 from physid.errors import RecordError, available
 from physid.plant.model import Model
+from physid.plant.parameter import element_id
 from physid.plant.simulation import Ranges
 from physid.plant.structure import Place, Structure, tendon_row
-from physid.plant.parameter import element_id
 from physid.record import Record, load_record
 
 
@@ -54,7 +54,9 @@ class Experiment:
         return len(self.time)
 
 
-def as_experiment(model: Model, source: object, rename: Mapping[str, str] | None = None) -> Experiment:
+def as_experiment(
+    model: Model, source: object, rename: Mapping[str, str] | None = None
+) -> Experiment:
     """Match a record, or the file it is in, to a model.
 
     Raises
@@ -106,7 +108,9 @@ def _notes(record: Record, structure: Structure, inputs: np.ndarray) -> list[str
     ignored = [c for c in record.columns if c not in known]
     notes = []
     if ignored:
-        notes.append(f"{record.path}: columns that match nothing in the model are ignored: {', '.join(ignored)}.")
+        notes.append(
+            f"{record.path}: columns that match nothing in the model are ignored: {', '.join(ignored)}."
+        )
     for k, name in enumerate(structure.inputs):
         if np.ptp(inputs[:, k]) == 0:
             notes.append(f"{record.path}: the input {name} is constant at {inputs[0, k]:.6g}.")

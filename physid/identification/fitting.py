@@ -10,9 +10,17 @@ from physid.errors import ModelError, NumericsError
 from physid.identification.accuracy import refine_steps
 from physid.identification.force_balance import Balance, balance, observable, widths
 from physid.identification.output_error import Estimate, Problem, residuals_of
-from physid.identification.staged import LONG, fit_whole, fit_windows, on_whole_records, states_only, windowed
+from physid.identification.staged import (
+    LONG,
+    fit_whole,
+    fit_windows,
+    on_whole_records,
+    states_only,
+    windowed,
+)
 from physid.identification.study import Study, at_values
 from physid.identification.uncertainty import Uncertainty, uncertainty_of
+from physid.plant.model import Model
 
 CLOSING_POINTS = 8000
 """Most instants per record in the force balance of a result."""
@@ -32,7 +40,7 @@ class Fitted:
     notes: tuple[str, ...] = ()
 
     @property
-    def model(self) -> object:
+    def model(self) -> Model:
         """The model at the fitted values."""
         return at_values(self.problem.model, self.problem.parameters, self.estimate.theta)
 
@@ -52,8 +60,9 @@ def fit_study(study: Study, *, from_windows: bool = True) -> Fitted:
         theta = fit_windows(windowed(study.problem, LONG), theta).theta
     problem = on_whole_records(study.problem)
     estimate = fit_whole(problem, theta) if problem.parameters else _frozen(problem)
-    problem, error = refine_steps(problem, estimate.theta, estimate.states,
-                                  problem.windows[0].simulator.substeps)
+    problem, error = refine_steps(
+        problem, estimate.theta, estimate.states, problem.windows[0].simulator.substeps
+    )
     if problem.windows[0].simulator.substeps != study.simulator.substeps:
         estimate = fit_whole(problem, estimate.theta) if problem.parameters else _frozen(problem)
     return confirmed(problem, estimate, error)
@@ -73,20 +82,30 @@ def confirmed(problem: Problem, estimate: Estimate, error: float) -> Fitted:
         worst = max(
             float(np.nanmax(np.abs(a - b))) for a, b in zip(again, estimate.residuals, strict=True)
         )
-        spread = max(float(w.measured().std()) for w in problem.windows) / float(problem.sigma.min())
+        spread = max(float(w.measured().std()) for w in problem.windows) / float(
+            problem.sigma.min()
+        )
         agree = bool(np.isfinite(worst) and worst <= AGREEMENT * spread)
         if not agree:
             notes = ("The compiled back end differs from MuJoCo here; the result is MuJoCo's own.",)
             problem = reference
-            estimate = fit_whole(problem, estimate.theta) if problem.parameters else _frozen(problem)
+            estimate = (
+                fit_whole(problem, estimate.theta) if problem.parameters else _frozen(problem)
+            )
     return Fitted(
-        problem=problem, estimate=estimate, uncertainty=uncertainty_of(problem, estimate),
-        integration_error=error, confirmed=True, notes=notes,
+        problem=problem,
+        estimate=estimate,
+        uncertainty=uncertainty_of(problem, estimate),
+        integration_error=error,
+        confirmed=True,
+        notes=notes,
     )
 
 
 def _on_engine(problem: Problem) -> Problem:
-    return problem.with_windows([replace(w, simulator=w.simulator.with_engine()) for w in problem.windows])
+    return problem.with_windows(
+        [replace(w, simulator=w.simulator.with_engine()) for w in problem.windows]
+    )
 
 
 def closing_balance(fitted: Fitted) -> Balance | None:
@@ -104,8 +123,15 @@ def closing_balance(fitted: Fitted) -> Balance | None:
     found = []
     for width in widths(experiments):
         try:
-            tried = balance(problem.model, problem.parameters, experiments, float(width), hold=hold,
-                            points=CLOSING_POINTS, theta=fitted.estimate.theta)
+            tried = balance(
+                problem.model,
+                problem.parameters,
+                experiments,
+                float(width),
+                hold=hold,
+                points=CLOSING_POINTS,
+                theta=fitted.estimate.theta,
+            )
             model = at_values(problem.model, problem.parameters, tried.theta)
             squares = states_only(replace(long, model=model)).squares
         except (np.linalg.LinAlgError, ValueError, NumericsError, ModelError):

@@ -75,11 +75,12 @@ def observable(model: Model, experiment: Experiment) -> bool:
     )
 
 
-def motion_of(model: Model, experiment: Experiment, plant: Plant, width: float, hold: Hold, points: int) -> Motion:
-    """Smooth a record's motion by a Gaussian of standard deviation ``width`` [s], wide enough for the
-    instants picked.
-    """
+def motion_of(
+    model: Model, experiment: Experiment, plant: Plant, width: float, hold: Hold, points: int
+) -> Motion:
+    """Smooth a record's motion by a Gaussian of standard deviation ``width`` [s]."""
     dt = experiment.dt
+    # Never so narrow that the instants picked would miss what lies between them.
     sd = max(2.0, width / dt, 0.7 * max(1, experiment.samples // points))
     inverse = np.linalg.pinv(kinematics_of(model, experiment.channels).position)
     q = experiment.outputs @ inverse.T
@@ -106,14 +107,17 @@ def _centred_inputs(experiment: Experiment, plant: Plant, hold: Hold) -> np.ndar
     u = experiment.inputs.copy()
     for k, placed in plant.conditioners:
         u[:, k] = placed.effect.condition(u[:, k], placed.values)
-    for k in np.flatnonzero(plant.delays):
+    for delayed_input in np.flatnonzero(plant.delays):
+        k = int(delayed_input)
         u[:, k] = delayed(u[:, k], plant.delays[k] / experiment.dt)
     if hold != "zero" or len(u) < 2:
         return between_samples(u, 1, "zero")
-    return 0.5 * (u + np.vstack([u[:1], u[:-1]]))
+    return np.asarray(0.5 * (u + np.vstack([u[:1], u[:-1]])))
 
 
-def missing_force(plant: Plant, motion: Motion, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
+def missing_force(
+    plant: Plant, motion: Motion, data: mujoco.MjData
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the force each joint needs beyond what the model gives, and the actuators' (n, nv)."""
     model = plant.model
     n = len(motion.time)
@@ -141,8 +145,16 @@ def _steady_activation(model: mujoco.MjModel, ctrl: np.ndarray) -> np.ndarray:
     return act
 
 
-def balance(model: Model, parameters: Sequence[Parameter], experiments: Sequence[Experiment],
-            width: float, *, hold: Hold = "zero", points: int = POINTS, theta: np.ndarray | None = None) -> Balance:
+def balance(
+    model: Model,
+    parameters: Sequence[Parameter],
+    experiments: Sequence[Experiment],
+    width: float,
+    *,
+    hold: Hold = "zero",
+    points: int = POINTS,
+    theta: np.ndarray | None = None,
+) -> Balance:
     """Estimate parameters by weighted least squares on the force balance.
 
     Parameters
@@ -176,7 +188,10 @@ def balance(model: Model, parameters: Sequence[Parameter], experiments: Sequence
         plant = model.with_values(named).compile(step)
         with run_time_laws([plant]):
             parts = [missing_force(plant, m, mujoco.MjData(plant.model)) for m in motions]
-        filtered = [[_low_pass(f, m, 3.0 * width) for f in part] for part, m in zip(parts, motions, strict=True)]
+        filtered = [
+            [_low_pass(f, m, 3.0 * width) for f in part]
+            for part, m in zip(parts, motions, strict=True)
+        ]
         return np.vstack([p[0] for p in filtered]), np.vstack([p[1] for p in filtered])
 
     std = np.full(len(theta), np.nan)
@@ -221,14 +236,20 @@ def _inertial_size(plant: Plant, motions: Sequence[Motion]) -> np.ndarray:
 
 
 def _joined(motions: Sequence[Motion]) -> Motion:
-    return Motion(**{
-        name: np.concatenate([getattr(m, name) for m in motions])
-        for name in ("time", "position", "speed", "acceleration", "inputs")
-    })
+    return Motion(
+        **{
+            name: np.concatenate([getattr(m, name) for m in motions])
+            for name in ("time", "position", "speed", "acceleration", "inputs")
+        }
+    )
 
 
-def _solve(parameters: Sequence[Parameter], theta: np.ndarray, base: np.ndarray, residual: object,
-           ) -> tuple[np.ndarray, np.ndarray]:
+def _solve(
+    parameters: Sequence[Parameter],
+    theta: np.ndarray,
+    base: np.ndarray,
+    residual: object,
+) -> tuple[np.ndarray, np.ndarray]:
     steps = 1e2 * parameter_steps(parameters, theta)
     columns = np.stack(
         [
@@ -245,11 +266,18 @@ def _solve(parameters: Sequence[Parameter], theta: np.ndarray, base: np.ndarray,
     upper = (np.array([p.upper for p in parameters]) - theta) * scale
     lower, upper = np.minimum(lower, -1e-9), np.maximum(upper, 1e-9)
     normal = rows / scale
-    solution = lsq_linear(np.linalg.qr(normal, mode="r"), _compressed(normal, target),
-                          bounds=(lower, upper), method="bvls").x
+    solution = lsq_linear(
+        np.linalg.qr(normal, mode="r"),
+        _compressed(normal, target),
+        bounds=(lower, upper),
+        method="bvls",
+    ).x
     left = target - normal @ solution
     gram = np.linalg.pinv(normal.T @ normal)
-    std = np.sqrt(np.maximum(np.diag(gram), 0) * float(left @ left) / max(len(left) - len(theta), 1)) / scale
+    std = (
+        np.sqrt(np.maximum(np.diag(gram), 0) * float(left @ left) / max(len(left) - len(theta), 1))
+        / scale
+    )
     limits = np.array([[p.lower, p.upper] for p in parameters])
     return np.clip(theta + solution / scale, limits[:, 0], limits[:, 1]), std
 

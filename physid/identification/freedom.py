@@ -28,8 +28,12 @@ class Freedom:
     notes: tuple[str, ...]
 
 
-def named(model: Model, names: Sequence[str], bounds: Mapping[str, tuple[float, float]],
-          priors: Mapping[str, tuple[float, float]]) -> tuple[Parameter, ...]:
+def named(
+    model: Model,
+    names: Sequence[str],
+    bounds: Mapping[str, tuple[float, float]],
+    priors: Mapping[str, tuple[float, float]],
+) -> tuple[Parameter, ...]:
     """Return the parameters a user named, with their bounds and priors.
 
     Raises
@@ -51,8 +55,9 @@ def named(model: Model, names: Sequence[str], bounds: Mapping[str, tuple[float, 
     return tuple(_limited(p, limits.get(p.name), beliefs.get(p.name)) for p in parameters)
 
 
-def _limited(parameter: Parameter, bound: tuple[float, float] | None,
-             prior: tuple[float, float] | None) -> Parameter:
+def _limited(
+    parameter: Parameter, bound: tuple[float, float] | None, prior: tuple[float, float] | None
+) -> Parameter:
     if prior is not None and not prior[1] > 0:
         raise InputError(
             f"The prior of {parameter.name} has standard deviation {prior[1]:g}; it must be above 0."
@@ -124,7 +129,9 @@ def identifiable(problem: Problem, wanted: Sequence[Parameter], excess: float = 
     return Freedom(tuple(chosen), (f"Free (--fit auto): {freed}.", *notes))
 
 
-def _most_alike(columns: np.ndarray, wanted: Sequence[Parameter], chosen: Sequence[Parameter], k: int) -> str:
+def _most_alike(
+    columns: np.ndarray, wanted: Sequence[Parameter], chosen: Sequence[Parameter], k: int
+) -> str:
     names = [p.name for p in wanted]
     indices = [names.index(p.name) for p in chosen]
     column = columns[:, k]

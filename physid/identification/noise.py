@@ -32,7 +32,7 @@ def noise_level(experiments: Sequence[Experiment]) -> np.ndarray:
     floors = np.array([_quantum(e.outputs) / np.sqrt(12.0) for e in experiments])
     spread = np.array([e.outputs.std(axis=0) for e in experiments]).max(axis=0)
     sigma = np.median(np.maximum(estimates, floors), axis=0)
-    return np.maximum(sigma, 1e-6 * np.maximum(spread, 1e-12))
+    return np.asarray(np.maximum(sigma, 1e-6 * np.maximum(spread, 1e-12)))
 
 
 def _by_differences(y: np.ndarray) -> np.ndarray:

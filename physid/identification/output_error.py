@@ -11,11 +11,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import mujoco
 import numpy as np
 from scipy.optimize import lsq_linear
 from scipy.signal import lfilter
-
-import mujoco
 
 from physid.errors import DivergedError
 from physid.identification.windows import Windows, initial_states, state_indices
@@ -23,6 +22,7 @@ from physid.plant.model import Model, Plant
 from physid.plant.parameter import Parameter
 
 FILTER = int(mujoco.mjtDyn.mjDYN_FILTER)
+INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
 HIDDEN = 1e-7
 """Singular values of an initial state below this share of the largest are not estimated."""
 HUGE = 1e100
@@ -99,12 +99,13 @@ class Estimate:
         return float(sum(np.sum(r * r) for r in self.residuals))
 
 
-def with_activations(plant: Plant, controls: np.ndarray, states: np.ndarray, starts: np.ndarray,
-                     substeps: int) -> np.ndarray:
+def with_activations(
+    plant: Plant, controls: np.ndarray, states: np.ndarray, starts: np.ndarray, substeps: int
+) -> np.ndarray:
     """Append the actuators' activations at the windows' starts to the states.
 
-    A first-order actuator's activation follows from the input alone; it starts the record at its
-    first input.
+    An actuator's activation follows from the input alone: a first-order one starts the record at its
+    first input, an integrating one at zero.
 
     Returns
     -------
@@ -113,19 +114,26 @@ def with_activations(plant: Plant, controls: np.ndarray, states: np.ndarray, sta
     model = plant.model
     activations = np.zeros((len(starts), model.na))
     for i in range(model.nactuator):
-        if int(model.actuator_dyntype[i]) != FILTER:
+        kind = int(model.actuator_dyntype[i])
+        if kind not in (FILTER, INTEGRATOR):
             continue
         u = controls[:, model.actuator_ctrladr[i]]
         if model.actuator_ctrllimited[i]:
             u = np.clip(u, *model.actuator_ctrlrange[i])
-        keep = np.exp(-model.opt.timestep / model.actuator_dynprm[i, 0])
-        path = lfilter([0.0, 1.0 - keep], [1.0, -keep], u, zi=[u[0]])[0]
+        if kind == INTEGRATOR:
+            path = model.opt.timestep * np.concatenate([[0.0], np.cumsum(u)])
+        else:
+            keep = np.exp(-model.opt.timestep / model.actuator_dynprm[i, 0])
+            path = lfilter([0.0, 1.0 - keep], [1.0, -keep], u, zi=[u[0]])[0]
         activations[:, model.actuator_actadr[i]] = path[starts * substeps]
     return np.hstack([states, activations])
 
 
-def residuals_of(problem: Problem, thetas: Sequence[np.ndarray], states: Sequence[list[np.ndarray]],
-                 ) -> list[list[np.ndarray]]:
+def residuals_of(
+    problem: Problem,
+    thetas: Sequence[np.ndarray],
+    states: Sequence[list[np.ndarray]],
+) -> list[list[np.ndarray]]:
     """Simulate several parameter vectors, each with its own initial states.
 
     Returns
@@ -152,7 +160,9 @@ def residuals_of(problem: Problem, thetas: Sequence[np.ndarray], states: Sequenc
                 )
             else:
                 initial.append(x[e])
-        runs = simulator.run(row, initial, windows.experiment.inputs, windows.starts, windows.samples)
+        runs = simulator.run(
+            row, initial, windows.experiment.inputs, windows.starts, windows.samples
+        )
         measured = windows.measured()
         for k, run in enumerate(runs):
             simulated = run.outputs[:, :, windows.experiment.channels]
@@ -177,10 +187,12 @@ class Linearisation:
 
     def without_states(self, residuals: list[np.ndarray]) -> np.ndarray:
         """Remove from weighted outputs, (w, samples, ny) each, what initial states explain; (m,)."""
-        return np.concatenate([
-            project_out(basis, r.reshape(r.shape[0], -1, 1)).ravel()
-            for basis, r in zip(self.bases, residuals, strict=True)
-        ])
+        return np.concatenate(
+            [
+                project_out(basis, r.reshape(r.shape[0], -1, 1)).ravel()
+                for basis, r in zip(self.bases, residuals, strict=True)
+            ]
+        )
 
     def state_steps(self, residuals: list[np.ndarray], change: np.ndarray) -> list[np.ndarray]:
         """Return the change of every window's free state for a parameter change (p,)."""
@@ -192,9 +204,21 @@ class Linearisation:
         return steps
 
 
-def differences(problem: Problem, theta: np.ndarray, states: list[np.ndarray],
-                residuals: list[np.ndarray]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+def differences(
+    problem: Problem,
+    theta: np.ndarray,
+    states: list[np.ndarray],
+    residuals: list[np.ndarray],
+    *,
+    central: bool = False,
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Return finite-difference sensitivities of the weighted simulation.
+
+    Parameters
+    ----------
+    central : bool
+        Step the parameters both ways where their bounds allow it: parameters that act alike then have
+        columns that are alike to eight digits rather than four.
 
     Returns
     -------
@@ -209,14 +233,20 @@ def differences(problem: Problem, theta: np.ndarray, states: list[np.ndarray],
     for i, index in enumerate(free):
         thetas.append(theta)
         moved.append([_shifted(x, index, STEP * scales[i]) for x in states])
-    runs = residuals_of(problem, thetas, moved)
-    sizes = np.concatenate([steps, STEP * scales])
     p = len(theta)
+    mirrored = _mirrored(problem.parameters, theta, steps) if central else []
+    behind = [theta - steps[k] * np.eye(p)[k] for k in mirrored]
+    runs = residuals_of(problem, thetas + behind, moved + [states] * len(behind))
+    starts = [residuals] * len(thetas)
+    sizes = np.concatenate([steps, STEP * scales])
+    for k, run in zip(mirrored, runs[len(thetas) :], strict=True):
+        starts[k], sizes[k] = run, 2 * sizes[k]
     by_parameter, by_state = [], []
     for e, base in enumerate(residuals):
         w = base.shape[0]
         flat = [
-            (base - run[e]).reshape(w, -1) / size for run, size in zip(runs, sizes, strict=True)
+            (start[e] - run[e]).reshape(w, -1) / size
+            for start, run, size in zip(starts, runs, sizes, strict=False)
         ]
         m = base[0].size
         by_parameter.append(np.stack(flat[:p], axis=2) if p else np.zeros((w, m, 0)))
@@ -224,10 +254,16 @@ def differences(problem: Problem, theta: np.ndarray, states: list[np.ndarray],
     return by_parameter, by_state
 
 
-def linearise(problem: Problem, theta: np.ndarray, states: list[np.ndarray],
-              residuals: list[np.ndarray]) -> Linearisation:
-    """Linearise the simulation and project the initial states out."""
-    by_parameter, by_state = differences(problem, theta, states, residuals)
+def linearise(
+    problem: Problem,
+    theta: np.ndarray,
+    states: list[np.ndarray],
+    residuals: list[np.ndarray],
+    *,
+    central: bool = False,
+) -> Linearisation:
+    """Linearise the simulation and project the initial states out; see :func:`differences`."""
+    by_parameter, by_state = differences(problem, theta, states, residuals, central=central)
     if not all(np.isfinite(c).all() for c in (*by_parameter, *by_state)):
         raise DivergedError(
             f"The simulation of {problem.model.name} diverges a hair's breadth from where it does not; "
@@ -273,8 +309,21 @@ def parameter_steps(parameters: Sequence[Parameter], theta: np.ndarray) -> np.nd
     steps = np.array(
         [STEP * max(abs(t), 1e-3 * p.scale) for p, t in zip(parameters, theta, strict=True)]
     )
-    over = np.array([t + s > p.upper for p, t, s in zip(parameters, theta, steps, strict=True)], dtype=bool)
+    over = np.array(
+        [t + s > p.upper for p, t, s in zip(parameters, theta, steps, strict=True)], dtype=bool
+    )
     return np.where(over, -steps, steps)
+
+
+def _mirrored(
+    parameters: Sequence[Parameter], theta: np.ndarray, steps: np.ndarray
+) -> list[int]:
+    """Return which parameters may also be stepped the other way."""
+    return [
+        k
+        for k, (p, t, s) in enumerate(zip(parameters, theta, steps, strict=True))
+        if p.lower <= t - s <= p.upper
+    ]
 
 
 def state_scales(model: Model, states: list[np.ndarray]) -> np.ndarray:
@@ -284,7 +333,7 @@ def state_scales(model: Model, states: list[np.ndarray]) -> np.ndarray:
     half = len(free) // 2
     for part in (slice(0, half), slice(half, None)):
         scales[part] = np.maximum(scales[part], 1e-2 * scales[part].max(initial=0.0))
-    return np.maximum(scales, 1e-9)
+    return np.asarray(np.maximum(scales, 1e-9))
 
 
 def _shifted(states: np.ndarray, index: int, step: float) -> np.ndarray:
@@ -293,8 +342,14 @@ def _shifted(states: np.ndarray, index: int, step: float) -> np.ndarray:
     return moved
 
 
-def minimise(problem: Problem, theta: np.ndarray | None = None, states: list[np.ndarray] | None = None,
-             *, iterations: int = 30, tolerance: float = 1e-4) -> Estimate:
+def minimise(
+    problem: Problem,
+    theta: np.ndarray | None = None,
+    states: list[np.ndarray] | None = None,
+    *,
+    iterations: int = 30,
+    tolerance: float = 1e-4,
+) -> Estimate:
     """Fit parameters and initial states.
 
     Parameters
@@ -335,7 +390,9 @@ def minimise(problem: Problem, theta: np.ndarray | None = None, states: list[np.
             change, predicted = _step(problem, point, theta, damping)
             shifts = point.state_steps(residuals, change)
             change = share * change
-            moved = [_moved(problem.model, x, share * d) for x, d in zip(states, shifts, strict=True)]
+            moved = [
+                _moved(problem.model, x, share * d) for x, d in zip(states, shifts, strict=True)
+            ]
             target = np.clip(theta + change, *limits)
             tried = residuals_of(problem, [target], [moved])[0]
             value = _chi2(problem, target, tried)
@@ -352,8 +409,14 @@ def minimise(problem: Problem, theta: np.ndarray | None = None, states: list[np.
         theta, states, residuals, chi2 = target, moved, tried, value
         damping = max(damping * (0.1 if fall > 0.5 * predicted else 1.0), 1e-9)
         done = fall < tolerance * chi2
-    return Estimate(theta=theta, states=states, residuals=residuals, chi2=chi2,
-                    iterations=iteration, converged=done)
+    return Estimate(
+        theta=theta,
+        states=states,
+        residuals=residuals,
+        chi2=chi2,
+        iterations=iteration,
+        converged=done,
+    )
 
 
 def _moved(model: Model, states: np.ndarray, shift: np.ndarray) -> np.ndarray:
@@ -370,7 +433,9 @@ def _chi2(problem: Problem, theta: np.ndarray, residuals: list[np.ndarray]) -> f
     return total
 
 
-def normal_equations(problem: Problem, point: Linearisation, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def normal_equations(
+    problem: Problem, point: Linearisation, theta: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the Gauss-Newton matrix (p, p) and the descent direction J'r (p,), priors included."""
     hessian = point.projected.T @ point.projected
     descent = point.projected.T @ point.remaining
@@ -381,7 +446,9 @@ def normal_equations(problem: Problem, point: Linearisation, theta: np.ndarray) 
     return hessian, descent
 
 
-def _step(problem: Problem, point: Linearisation, theta: np.ndarray, damping: float) -> tuple[np.ndarray, float]:
+def _step(
+    problem: Problem, point: Linearisation, theta: np.ndarray, damping: float
+) -> tuple[np.ndarray, float]:
     """Solve the damped normal equations within the bounds; return the step and the predicted fall."""
     free = float(point.remaining @ point.remaining)
     if not len(theta):
@@ -434,12 +501,17 @@ def _runaway_joint(problem: Problem, windows: Windows, window: int) -> str:
     states = initial_states(problem.model, start)
     controls = windows.simulator.controls(plant, windows.experiment.inputs)
     full = with_activations(plant, controls, states, start.starts, windows.simulator.substeps)
-    run = windows.simulator.run([plant], [full], windows.experiment.inputs, start.starts, start.samples)[0]
+    run = windows.simulator.run(
+        [plant], [full], windows.experiment.inputs, start.starts, start.samples
+    )[0]
     path = run.states[0]
     finite = path[np.isfinite(path).all(axis=1)]
     structure = problem.model.structure
     if not len(finite):
         return structure.joints[0].name
-    growth = [abs(finite[-1, structure.nq + j.dof]) / (np.abs(finite[: len(finite) // 2 + 1, structure.nq + j.dof]).max() + 1e-12)
-              for j in structure.joints]
+    growth = [
+        abs(finite[-1, structure.nq + j.dof])
+        / (np.abs(finite[: len(finite) // 2 + 1, structure.nq + j.dof]).max() + 1e-12)
+        for j in structure.joints
+    ]
     return structure.joints[int(np.argmax(growth))].name

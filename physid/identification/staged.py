@@ -36,10 +36,12 @@ def windowed(problem: Problem, periods: float, spans: Spans | None = None) -> Pr
     seconds = periods * typical_period(experiments)
     if np.isfinite(seconds):
         seconds = min(seconds, min(e.samples * e.dt for e in experiments) / 6.0)
-    return problem.with_windows([
-        cut(w.experiment, w.simulator, seconds, spans(w.experiment.samples) if spans else ())
-        for w in problem.windows
-    ])
+    return problem.with_windows(
+        [
+            cut(w.experiment, w.simulator, seconds, spans(w.experiment.samples) if spans else ())
+            for w in problem.windows
+        ]
+    )
 
 
 def thinned(problem: Problem, most: int) -> Problem:
@@ -49,7 +51,9 @@ def thinned(problem: Problem, most: int) -> Problem:
     stride = min(int(np.ceil(total / most)), count // FEWEST)
     if stride <= 1:
         return problem
-    return problem.with_windows([w.take(np.arange(0, len(w.starts), stride)) for w in problem.windows])
+    return problem.with_windows(
+        [w.take(np.arange(0, len(w.starts), stride)) for w in problem.windows]
+    )
 
 
 def on_whole_records(problem: Problem) -> Problem:
@@ -98,7 +102,9 @@ def _from_force_balance(problem: Problem) -> list[np.ndarray]:
     hold = problem.windows[0].simulator.hold
     for width in widths(experiments):
         try:
-            found.append(balance(problem.model, problem.parameters, experiments, width, hold=hold).theta)
+            found.append(
+                balance(problem.model, problem.parameters, experiments, width, hold=hold).theta
+            )
         except (np.linalg.LinAlgError, ValueError, ModelError):
             continue
     return found
@@ -118,7 +124,9 @@ def _frozen(problem: Problem, theta: np.ndarray) -> Problem:
     return replace(problem, model=problem.model.with_values(values), parameters=())
 
 
-def fit_windows(problem: Problem, theta: np.ndarray | None = None, *, iterations: int = 20) -> Estimate:
+def fit_windows(
+    problem: Problem, theta: np.ndarray | None = None, *, iterations: int = 20
+) -> Estimate:
     """Fit on the problem's windows, starting again with fresh damping while that still helps."""
     estimate = minimise(problem, theta, iterations=iterations)
     for _ in range(3):
@@ -145,6 +153,7 @@ def fit_whole(problem: Problem, theta: np.ndarray, *, tolerance: float = 1e-6) -
     return estimate
 
 
-def states_only(problem: Problem) -> Estimate:
+def states_only(problem: Problem, states: list[np.ndarray] | None = None) -> Estimate:
     """Estimate the initial states alone, every parameter frozen."""
-    return minimise(replace(problem, parameters=()), np.zeros(0), iterations=20, tolerance=1e-6)
+    frozen = replace(problem, parameters=())
+    return minimise(frozen, np.zeros(0), states, iterations=12, tolerance=1e-5)

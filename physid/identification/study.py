@@ -100,7 +100,9 @@ def as_model(model: Model | str | os.PathLike[str]) -> Model:
     return model if isinstance(model, Model) else load_model(model)
 
 
-def prepare(model: Model | str | os.PathLike[str], records: Sequence[object], options: Options) -> Study:
+def prepare(
+    model: Model | str | os.PathLike[str], records: Sequence[object], options: Options
+) -> Study:
     """Set up a study: everything up to the neighbourhood of the fit.
 
     Parameters
@@ -119,7 +121,7 @@ def prepare(model: Model | str | os.PathLike[str], records: Sequence[object], op
     experiments = experiments_of(loaded, records, options)
     notes = [*loaded.notes, *(n for e in experiments for n in e.notes)]
     _check_moving_joints(loaded)
-    first_hold: Hold = options.hold if options.hold in ("zero", "first", "smooth") else "zero"  # type: ignore[assignment]
+    first_hold: Hold = options.hold if options.hold in ("zero", "first", "smooth") else "zero"
     problem = _problem(loaded, experiments, first_hold, options)
     parameters, choice_notes = free_parameters(problem, options, free)
     problem = replace(problem, parameters=parameters)
@@ -153,18 +155,28 @@ def experiments_of(model: Model, records: Sequence[object], options: Options) ->
 
 def _check_moving_joints(model: Model) -> None:
     if not model.structure.joints:
-        raise InputError(f"{model.name} has no hinge or slide joint; physid estimates and diagnoses those.")
+        raise InputError(
+            f"{model.name} has no hinge or slide joint; physid estimates and diagnoses those."
+        )
 
 
-def _problem(model: Model, experiments: Sequence[Experiment], hold: Hold, options: Options) -> Problem:
+def _problem(
+    model: Model, experiments: Sequence[Experiment], hold: Hold, options: Options
+) -> Problem:
     ranges = ranges_of(model, experiments)
     substeps = _stable_substeps(model, experiments)
     windows = [
-        whole(e, make_simulator(model, e.dt, substeps, ranges, hold=hold, threads=options.jobs,
-                                seed=options.seed))
+        whole(
+            e,
+            make_simulator(
+                model, e.dt, substeps, ranges, hold=hold, threads=options.jobs, seed=options.seed
+            ),
+        )
         for e in experiments
     ]
-    return Problem(model=model, parameters=(), windows=tuple(windows), sigma=noise_level(experiments))
+    return Problem(
+        model=model, parameters=(), windows=tuple(windows), sigma=noise_level(experiments)
+    )
 
 
 def _stable_substeps(model: Model, experiments: Sequence[Experiment]) -> int:
@@ -172,8 +184,11 @@ def _stable_substeps(model: Model, experiments: Sequence[Experiment]) -> int:
     return int(np.clip(np.ceil(max(e.dt for e in experiments) / (2.0 * model.dt)), 1, 32))
 
 
-def free_parameters(problem: Problem, options: Options, added: Sequence[str],
-                    ) -> tuple[tuple[Parameter, ...], list[str]]:
+def free_parameters(
+    problem: Problem,
+    options: Options,
+    added: Sequence[str],
+) -> tuple[tuple[Parameter, ...], list[str]]:
     """Return the free parameters of a study and sentences on the choice."""
     model = problem.model
     if options.fit == "auto":
@@ -221,9 +236,13 @@ def choose_hold(problem: Problem, theta: np.ndarray) -> tuple[Problem, np.ndarra
         return problem, theta, ""
     tried = {}
     for hold in ("zero", "first", "smooth"):
-        other = with_hold(problem, hold)  # type: ignore[arg-type]
-        short = minimise(thinned(windowed(other, SHORT), ENOUGH), theta, iterations=8, tolerance=1e-3)
-        long = minimise(thinned(windowed(other, LONG), ENOUGH), short.theta, iterations=10, tolerance=1e-3)
+        other = with_hold(problem, hold)
+        short = minimise(
+            thinned(windowed(other, SHORT), ENOUGH), theta, iterations=8, tolerance=1e-3
+        )
+        long = minimise(
+            thinned(windowed(other, LONG), ENOUGH), short.theta, iterations=10, tolerance=1e-3
+        )
         tried[hold] = (long.chi2, long.theta)
     best = min(tried, key=lambda h: tried[h][0])
     if best == "zero" or tried[best][0] > CLEARLY * tried["zero"][0]:
@@ -241,10 +260,22 @@ def choose_hold(problem: Problem, theta: np.ndarray) -> tuple[Problem, np.ndarra
 def with_hold(problem: Problem, hold: Hold) -> Problem:
     """Return the problem with another course of the input between samples."""
     return problem.with_windows(
-        [replace(w, simulator=replace(w.simulator, hold=hold, substeps=max(w.simulator.substeps, 2)))
-         for w in problem.windows]
+        [
+            replace(
+                w, simulator=replace(w.simulator, hold=hold, substeps=max(w.simulator.substeps, 2))
+            )
+            for w in problem.windows
+        ]
     )
 
 
-__all__ = ["Options", "Progress", "Study", "as_model", "at_values", "experiments_of", "on_whole_records",
-           "prepare"]
+__all__ = [
+    "Options",
+    "Progress",
+    "Study",
+    "as_model",
+    "at_values",
+    "experiments_of",
+    "on_whole_records",
+    "prepare",
+]

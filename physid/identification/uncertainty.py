@@ -30,7 +30,9 @@ class Uncertainty:
 
 def uncertainty_of(problem: Problem, estimate: Estimate) -> Uncertainty:
     """Return the covariance of the free parameters at an estimate."""
-    point = linearise(problem, estimate.theta, estimate.states, estimate.residuals)
+    point = linearise(
+        problem, estimate.theta, estimate.states, estimate.residuals, central=True
+    )
     p = len(estimate.theta)
     if not p:
         return Uncertainty(np.zeros((0, 0)), np.zeros(0))
@@ -59,14 +61,16 @@ def long_run_scores(problem: Problem, columns: np.ndarray, residual: np.ndarray)
         size = len(windows.starts) * windows.samples * ny
         block = slice(first, first + size)
         first += size
-        scores = (columns[block] * residual[block, None]).reshape(-1, ny, columns.shape[1]).sum(axis=1)
+        scores = (
+            (columns[block] * residual[block, None]).reshape(-1, ny, columns.shape[1]).sum(axis=1)
+        )
         rows = residual[block].reshape(-1, ny)
         width = int(np.ceil(3 * max(correlation_time(rows[:, k]) for k in range(ny))))
         total += bartlett(scores, min(width, len(scores) // 8, WIDEST))
     for k, p in enumerate(problem.parameters):
         if p.prior is not None:
             total[k, k] += p.prior[1] ** -2
-    return total * inflate
+    return np.asarray(total * inflate)
 
 
 def bartlett(scores: np.ndarray, width: int) -> np.ndarray:

@@ -60,11 +60,16 @@ Span = tuple[int, int]
 def whole(experiment: Experiment, simulator: Simulator) -> Windows:
     """Return the record as one window."""
     return Windows(
-        experiment=experiment, simulator=simulator, starts=np.zeros(1, int), samples=experiment.samples
+        experiment=experiment,
+        simulator=simulator,
+        starts=np.zeros(1, int),
+        samples=experiment.samples,
     )
 
 
-def cut(experiment: Experiment, simulator: Simulator, seconds: float, spans: Sequence[Span] = ()) -> Windows:
+def cut(
+    experiment: Experiment, simulator: Simulator, seconds: float, spans: Sequence[Span] = ()
+) -> Windows:
     """Cut a record, or some equally long stretches of it, into windows of about a length [s].
 
     Parameters
@@ -79,11 +84,13 @@ def cut(experiment: Experiment, simulator: Simulator, seconds: float, spans: Seq
     nx = 2 * simulator.structure.nv
     least = max(6, int(np.ceil(4 * nx / experiment.outputs.shape[1])))
     wanted = seconds / experiment.dt
-    samples = longest if wanted >= longest else int(round(wanted))
+    samples = longest if wanted >= longest else round(wanted)
     if np.isfinite(wanted):
         samples = min(max(samples, least), max(longest // 2, least))
     samples = min(samples, longest)
-    starts = [first + np.arange(max((last - first) // samples, 1)) * samples for first, last in spans]
+    starts = [
+        first + np.arange(max((last - first) // samples, 1)) * samples for first, last in spans
+    ]
     return Windows(
         experiment=experiment, simulator=simulator, starts=np.concatenate(starts), samples=samples
     )
@@ -120,7 +127,9 @@ def initial_states(model: Model, windows: Windows) -> np.ndarray:
     position = np.linalg.lstsq(system, np.vstack([y[at].T, zeros]), rcond=None)[0]
     system = np.vstack([kin.position, kin.speed, weight * soft, faint])
     speed = np.linalg.lstsq(
-        system, np.vstack([rate[at].T * moves(kin.position), y[at].T * moves(kin.speed), zeros]), rcond=None
+        system,
+        np.vstack([rate[at].T * moves(kin.position), y[at].T * moves(kin.speed), zeros]),
+        rcond=None,
     )[0]
     states = np.tile(np.concatenate([compiled.qpos0, np.zeros(structure.nv)]), (len(at), 1))
     for joint in structure.joints:
@@ -132,7 +141,7 @@ def initial_states(model: Model, windows: Windows) -> np.ndarray:
 
 def moves(rows: np.ndarray) -> np.ndarray:
     """Return a column of ones where a channel shows motion and zeros where it does not (ny, 1)."""
-    return np.any(rows != 0, axis=1, keepdims=True).astype(float)
+    return np.asarray(np.any(rows != 0, axis=1, keepdims=True), dtype=float)
 
 
 def state_indices(model: Model) -> np.ndarray:

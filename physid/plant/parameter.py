@@ -15,7 +15,6 @@ import numpy as np
 from physid.errors import InputError, ModelError, available
 from physid.plant.structure import KINDS, Place, Structure, tendon_unit
 
-
 LIGHTEST = 1e-6
 """Lower bound of a mass or an inertia, as a share of what the MJCF gives."""
 

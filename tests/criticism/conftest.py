@@ -13,8 +13,8 @@ SLIDER = """
   <option timestep="0.001" integrator="RK4" gravity="0 0 0"/>
   <worldbody>
     <body name="cart">
-      <joint name="rail" type="slide" axis="1 0 0" damping="0.8" stiffness="{stiffness}"/>
-      <geom size="0.05" mass="0.5"/>
+      <joint name="rail" type="slide" axis="1 0 0" damping="0.4" stiffness="{stiffness}"/>
+      <geom size="0.05" mass="0.1"/>
     </body>
   </worldbody>
   <actuator><motor name="motor" joint="rail"/></actuator>
@@ -42,7 +42,7 @@ def two_inertia():
 @pytest.fixture(scope="session")
 def slider(tmp_path_factory):
     path = tmp_path_factory.mktemp("slider") / "slider.xml"
-    path.write_text(SLIDER.format(stiffness=20), encoding="utf-8")
+    path.write_text(SLIDER.format(stiffness=100), encoding="utf-8")
     return path
 
 
@@ -69,7 +69,7 @@ def shaft_record():
 def make_run(slider):
     """Return a noisy run of the slider, with effects that its model lacks."""
 
-    def run(*effects: str, seed: int = 1, noise: float = 0.003) -> Record:
+    def run(*effects: str, seed: int = 1, noise: float = 0.005) -> Record:
         excite = f"mseq:stages=7,clock=0.032,amplitude=2,seed={seed}"
         record = physid.simulate(slider, excite=excite, add=effects, seed=seed)
         thinned = Record(

@@ -106,7 +106,7 @@ def test_truth_that_names_nothing_in_the_model(two_inertia, tmp_path):
 
 
 def test_whole_check_on_a_record(slider, make_run):
-    result = physid.check(slider, [make_run()], {"rail.damping": 0.8, "rail.stiffness": 20.0})
+    result = physid.check(slider, [make_run()], {"rail.damping": 0.4, "rail.stiffness": 100.0})
     assert result.as_dict()["holds"], result.as_dict()["parameters"]
-    wrong = physid.check(slider, [make_run()], {"rail.damping": 1.2})
+    wrong = physid.check(slider, [make_run()], {"rail.damping": 0.6})
     assert not wrong.as_dict()["holds"]

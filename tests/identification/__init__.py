@@ -1,0 +1,1 @@
+"""Tests of identification: noise, fits, uncertainty, force balance, what is free."""

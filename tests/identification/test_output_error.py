@@ -1,0 +1,241 @@
+"""Output error: the initial states projected out, bounds, priors, windows."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from physid.errors import DivergedError
+from physid.identification.accuracy import refine_steps
+from physid.identification.output_error import linearise, minimise, residuals_of
+from physid.identification.staged import thinned, windowed
+from physid.identification.windows import cut, initial_states, whole
+from tests.plant.rigs import PENDULUM, load_text, oscillator
+
+from .rigs import (
+    NAMES,
+    TRUTH,
+    experiment,
+    follow,
+    held_input,
+    problem_of,
+    shaft_model,
+    shaft_record,
+    spring_model,
+    spring_problem,
+)
+
+
+def everything_at_once(problem, theta):
+    """Minimise over parameters and initial states together, with SciPy: (theta, chi2)."""
+    states = problem.states()
+    shapes = [x.shape for x in states]
+    p = len(theta)
+    scale = np.concatenate([np.abs(theta), *(0.1 * np.ones(x.size) for x in states)])
+
+    def unpack(z):
+        z, parts, first = z * scale, [], p
+        for shape in shapes:
+            size = int(np.prod(shape))
+            parts.append(z[first : first + size].reshape(shape))
+            first += size
+        return z[:p], parts
+
+    def misfit(z):
+        values, parts = unpack(z)
+        found = residuals_of(problem, [values], [parts])[0]
+        priors = [
+            (v - q.prior[0]) / q.prior[1]
+            for q, v in zip(problem.parameters, values, strict=True)
+            if q.prior is not None
+        ]
+        return np.concatenate([*(r.ravel() for r in found), priors])
+
+    start = np.concatenate([theta, *(x.ravel() for x in states)]) / scale
+    found = least_squares(misfit, start, x_scale=1.0, xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    return unpack(found.x)[0], 2 * found.cost
+
+
+def test_a_small_rig_is_recovered_within_its_uncertainty_without_the_inverse_crime():
+    problem = spring_problem(sigma=1e-4, factor=1.3)
+    estimate = minimise(problem, tolerance=1e-8)
+    assert estimate.converged
+    assert estimate.theta == pytest.approx(list(TRUTH.values()), rel=3e-3)
+    assert estimate.squares == pytest.approx(500, rel=0.15)
+
+
+def test_without_noise_the_truth_is_found_to_many_digits():
+    problem = spring_problem(factor=0.8, noise=np.zeros((500, 1)))
+    estimate = minimise(problem, tolerance=1e-12, iterations=60)
+    assert estimate.theta == pytest.approx(list(TRUTH.values()), rel=1e-6)
+    assert estimate.states[0][0] == pytest.approx([0.02, -0.1], rel=1e-5)
+
+
+def test_projecting_the_states_out_is_least_squares_over_everything():
+    whole_record = spring_problem(sigma=1e-3, factor=1.2, n=300)
+    simulator = whole_record.windows[0].simulator
+    several = whole_record.with_windows([cut(whole_record.windows[0].experiment, simulator, 0.5)])
+    assert len(several.windows[0].starts) == 6
+    for problem in (whole_record, several):
+        found = minimise(problem, tolerance=1e-13, iterations=60)
+        theta, chi2 = everything_at_once(problem, problem.start())
+        assert found.theta == pytest.approx(theta, rel=1e-5)
+        assert found.chi2 == pytest.approx(chi2, rel=1e-8)
+
+
+def test_projecting_the_states_out_of_a_nonlinear_rig_with_a_prior():
+    model = load_text(PENDULUM)
+    plant = model.compile(1e-3).model
+    inertia, weight = float(plant.dof_M0[0]), 9.81 * float(plant.body_mass[1])
+    x, _, z = plant.body_ipos[1]
+    u = held_input(250, level=1.0)
+    states = follow(
+        lambda s, f: [
+            s[1],
+            (weight * (z * np.sin(s[0]) + x * np.cos(s[0])) - 0.02 * s[1] + 0.7 * f) / inertia,
+        ],
+        u,
+        0.01,
+        [0.5, 0.0],
+    )
+    y = states + 1e-3 * np.random.default_rng(3).standard_normal(states.shape)
+    problem = problem_of(model, [experiment(u, y, 0.01)], 1e-3, ["pivot.damping", "motor.gear"])
+    pulled = replace(problem.parameters[0], prior=(0.025, 0.001))
+    for parameters in (problem.parameters, (pulled, problem.parameters[1])):
+        one = replace(problem, parameters=parameters)
+        found = minimise(one, one.start() * [1.5, 0.8], tolerance=1e-13, iterations=60)
+        theta, chi2 = everything_at_once(one, one.start())
+        assert found.theta == pytest.approx(theta, rel=1e-4)
+        assert found.chi2 == pytest.approx(chi2, rel=1e-8)
+    assert minimise(problem, tolerance=1e-10).theta == pytest.approx([0.02, 0.7], rel=0.05)
+
+
+def test_bounds_are_kept_and_the_rest_is_as_if_fixed_there():
+    problem = spring_problem(sigma=1e-3)
+    at = replace(problem.parameters[1], lower=81.0, upper=90.0, value=85.0)
+    bounded = replace(problem, parameters=(problem.parameters[0], at, problem.parameters[2]))
+    found = minimise(bounded, tolerance=1e-10, iterations=60)
+    assert found.theta[1] == 81.0
+    fixed = replace(
+        problem,
+        model=problem.model.with_values({"rail.stiffness": 81.0}),
+        parameters=(problem.parameters[0], problem.parameters[2]),
+    )
+    expected = minimise(fixed, tolerance=1e-10, iterations=60)
+    assert found.theta[[0, 2]] == pytest.approx(expected.theta, rel=1e-5)
+    assert found.chi2 == pytest.approx(expected.chi2, rel=1e-8)
+
+
+def test_a_parameter_that_is_absent_ends_at_zero():
+    names = (*NAMES, "rail.frictionloss")
+    found = minimise(spring_problem(sigma=1e-3, names=names), tolerance=1e-8, iterations=60)
+    assert found.theta[3] >= 0.0
+    assert found.theta[3] < 0.02
+
+
+def test_a_prior_pulls_as_its_precision_says():
+    problem = spring_problem(sigma=1e-3)
+    free = minimise(problem, tolerance=1e-12, iterations=60)
+    point = linearise(problem, free.theta, free.states, free.residuals)
+    hessian = point.projected.T @ point.projected
+    spread = float(np.sqrt(np.linalg.inv(hessian)[0, 0]))
+    mean = free.theta[0] + 4 * spread
+    pulled = replace(problem.parameters[0], prior=(mean, spread))
+    found = minimise(
+        replace(problem, parameters=(pulled, *problem.parameters[1:])),
+        tolerance=1e-12,
+        iterations=60,
+    )
+    # Two beliefs of equal precision meet half way.
+    assert found.theta[0] == pytest.approx(free.theta[0] + 2 * spread, abs=0.05 * spread)
+    assert found.chi2 > free.chi2
+    assert found.chi2 == pytest.approx(free.chi2 + 8, abs=0.2)
+
+
+def test_nothing_free_estimates_the_initial_state():
+    problem = spring_problem(sigma=1e-4, names=())
+    found = minimise(problem, tolerance=1e-10)
+    assert found.theta.shape == (0,)
+    assert found.states[0][0] == pytest.approx([0.02, -0.1], abs=3e-4)
+    assert found.squares == pytest.approx(500, rel=0.15)
+
+
+def test_several_records_are_fitted_jointly_each_from_its_own_state():
+    u, y = shaft_record(600)
+    v, z = shaft_record(600, seed=5)
+    model = shaft_model()
+    names = ["shaft.stiffness", "disc.mass"]
+    rng = np.random.default_rng(0)
+    both = [
+        experiment(a, b + 1e-4 * rng.standard_normal(b.shape), 2e-3) for a, b in ((u, y), (v, z))
+    ]
+    start = [24.0, 1.9]
+    joint = minimise(problem_of(model, both, 1e-4, names), np.array(start), tolerance=1e-9)
+    assert joint.theta == pytest.approx([20.0, 1.5625], rel=3e-3)
+    single = [minimise(problem_of(model, [e], 1e-4, names), np.array(start)) for e in both]
+    assert joint.chi2 >= sum(s.chi2 for s in single) - 1e-6
+
+
+def test_windows_cover_the_record_once():
+    problem = spring_problem(names=())
+    one = problem.windows[0]
+    for seconds in (0.05, 0.3, 1.0, 4.0, np.inf):
+        windows = cut(one.experiment, one.simulator, seconds)
+        assert windows.starts[0] == 0
+        assert (np.diff(windows.starts) == windows.samples).all()
+        assert windows.starts[-1] + windows.samples <= 500
+        assert windows.measured().shape == (len(windows.starts), windows.samples, 1)
+    assert whole(one.experiment, one.simulator).samples == 500
+    spans = cut(one.experiment, one.simulator, np.inf, ((0, 200), (300, 500)))
+    assert spans.starts.tolist() == [0, 300]
+    assert spans.samples == 200
+
+
+def test_windows_are_thinned_evenly():
+    problem = windowed(spring_problem(names=(), n=3000), 0.3)
+    fewer = thinned(problem, 1000)
+    total = sum(len(w.starts) * w.samples for w in fewer.windows)
+    assert total <= 1100
+    assert set(fewer.windows[0].starts) <= set(problem.windows[0].starts)
+    assert thinned(problem, 10**6) is problem
+
+
+def test_initial_states_are_guessed_from_what_is_measured():
+    problem = spring_problem(sigma=1e-5, names=())
+    windows = cut(problem.windows[0].experiment, problem.windows[0].simulator, 0.5)
+    guess = initial_states(problem.model, windows)
+    best = minimise(problem.with_windows([windows]), tolerance=1e-10).states[0]
+    assert np.abs(guess - best)[:, 0].max() < 2e-3
+    assert np.abs(guess - best)[:, 1].max() < 0.1
+
+
+def test_what_is_not_measured_rests_on_its_spring():
+    u, y = shaft_record(400)
+    model = shaft_model()
+    problem = problem_of(model, [experiment(u, y[:, 1:], 2e-3, [1])], 1e-5)
+    windows = cut(problem.windows[0].experiment, problem.windows[0].simulator, 0.1)
+    guess = initial_states(model, windows)
+    assert np.allclose(guess[:, 0], guess[:, 1], atol=1e-6)
+    assert np.allclose(guess[:, 2], guess[:, 3], atol=1e-6)
+
+
+def test_the_step_is_refined_until_it_does_not_matter():
+    problem = spring_problem(sigma=1e-7, names=(), noise=np.zeros((500, 1)))
+    theta, states = np.zeros(0), [np.array([[0.02, -0.1]])]
+    refined, error = refine_steps(problem, theta, states, 1)
+    substeps = refined.windows[0].simulator.substeps
+    assert substeps > 1
+    assert error <= 0.1
+    loose, _ = refine_steps(replace(problem, sigma=np.array([1e-2])), theta, states, 1)
+    assert loose.windows[0].simulator.substeps == 1
+
+
+def test_a_divergence_names_the_record_the_time_and_the_joint():
+    problem = spring_problem(names=())
+    wild = load_text(oscillator(k=-4e4, d=0.0))
+    with pytest.raises(
+        DivergedError, match=r"along truth diverges at t = .* s, joint '?rail'? first"
+    ):
+        minimise(replace(problem, model=wild))
+    assert spring_model(2.0).parameter("block.mass").value == 4.0

@@ -1,0 +1,133 @@
+"""Standard errors: coverage under white and coloured noise, blindness said as NaN."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from physid.identification.output_error import linearise, minimise, normal_equations
+from physid.identification.uncertainty import bartlett, uncertainty_of
+
+from .rigs import (
+    NAMES,
+    TRUTH,
+    experiment,
+    problem_of,
+    shaft_model,
+    shaft_record,
+    spring_problem,
+)
+
+
+def scores_of(runs, noise_of, sigma=1e-3):
+    """Return (estimate - truth) / standard error of repeated fits, (runs, p)."""
+    found = []
+    for seed in range(runs):
+        noise = noise_of(np.random.default_rng(seed))
+        problem = spring_problem(sigma=sigma, noise=noise)
+        estimate = minimise(problem, tolerance=1e-7)
+        error = uncertainty_of(problem, estimate).std_error
+        found.append((estimate.theta - list(TRUTH.values())) / error)
+    return np.array(found)
+
+
+@pytest.fixture(scope="module")
+def white():
+    return scores_of(24, lambda rng: rng.standard_normal((500, 1)))
+
+
+def test_intervals_cover_as_they_say_under_white_noise(white):
+    covered = np.abs(white) < 1.96
+    assert covered.mean() > 0.86  # 72 intervals, 95 % expected, less three deviations
+    assert np.abs(white).max() < 4.5
+    assert np.abs(white.mean(axis=0)).max() < 3 / np.sqrt(24)
+
+
+def test_standard_errors_are_neither_too_wide(white):
+    assert 0.65 < white.std() < 1.35
+
+
+def test_intervals_cover_under_coloured_noise():
+    def coloured(rng):
+        drift = lfilter([1], [1, -0.9], rng.standard_normal((700, 1)), axis=0)[200:]
+        return drift * np.sqrt(1 - 0.9**2)
+
+    scores = scores_of(16, coloured)
+    assert (np.abs(scores) < 1.96).mean() > 0.75
+    assert 0.6 < scores.std() < 1.8
+    # White-noise errors would not do: the score below is theirs.
+    problem = spring_problem(sigma=1e-3, noise=coloured(np.random.default_rng(0)))
+    estimate = minimise(problem, tolerance=1e-7)
+    point = linearise(problem, estimate.theta, estimate.states, estimate.residuals)
+    naive = np.sqrt(np.diag(np.linalg.inv(point.projected.T @ point.projected)))
+    assert (uncertainty_of(problem, estimate).std_error > naive).all()
+
+
+def test_under_white_noise_the_sandwich_is_the_inverse_of_the_information():
+    problem = spring_problem(sigma=1e-3, n=2000)
+    estimate = minimise(problem, tolerance=1e-9)
+    point = linearise(problem, estimate.theta, estimate.states, estimate.residuals)
+    hessian, _ = normal_equations(problem, point, estimate.theta)
+    classic = np.sqrt(np.diag(np.linalg.inv(hessian)))
+    assert uncertainty_of(problem, estimate).std_error == pytest.approx(classic, rel=0.25)
+
+
+def test_errors_shrink_with_the_noise_and_grow_with_fewer_samples():
+    found = {}
+    for sigma, n in ((1e-4, 500), (1e-3, 500), (1e-4, 2000)):
+        problem = spring_problem(sigma=sigma, n=n)
+        found[sigma, n] = uncertainty_of(problem, minimise(problem, tolerance=1e-9)).std_error
+    assert found[1e-3, 500] == pytest.approx(10 * found[1e-4, 500], rel=0.02)
+    assert (found[1e-4, 2000] < 0.6 * found[1e-4, 500]).all()
+
+
+def test_what_a_record_does_not_identify_has_no_standard_error():
+    """A pair that only enters as a sum is blind; what is beside it is not."""
+    names = ("drive.damping", "shaft.stiffness", "rotor.mass", "drive.armature")
+    u, y = shaft_record(800)
+    model = shaft_model().with_values({"drive.armature": 1e-4, "rotor.mass": 1.05})
+    noise = np.random.default_rng(0).standard_normal(y.shape)
+    problem = problem_of(model, [experiment(u, y + 1e-4 * noise, 2e-3)], 1e-4, names)
+    estimate = minimise(problem, tolerance=1e-7)
+    found = uncertainty_of(problem, estimate).std_error
+    assert np.isfinite(found[:2]).all()
+    assert np.isnan(found[2:]).all()
+    assert estimate.theta[1] == pytest.approx(20.0, rel=3e-3)
+
+
+def test_what_changes_nothing_has_no_standard_error():
+    u, y = shaft_record(500)
+    model = shaft_model()
+    problem = problem_of(model, [experiment(u, y, 2e-3)], 1e-4, ("shaft.stiffness", "disc.com.z"))
+    estimate = minimise(problem)
+    found = uncertainty_of(problem, estimate).std_error
+    assert np.isfinite(found[0])
+    assert np.isnan(found[1])
+
+
+def test_a_prior_is_information():
+    problem = spring_problem(sigma=1e-2)
+    free = uncertainty_of(problem, minimise(problem)).std_error
+    tight = replace(problem.parameters[2], prior=(0.9, 0.2 * free[2]))
+    with_prior = replace(problem, parameters=(*problem.parameters[:2], tight))
+    found = uncertainty_of(with_prior, minimise(with_prior)).std_error
+    assert found[2] < 0.25 * free[2]
+    assert len(found) == len(NAMES)
+
+
+def test_nothing_free_has_no_covariance():
+    problem = spring_problem(names=())
+    assert uncertainty_of(problem, minimise(problem)).covariance.shape == (0, 0)
+
+
+def test_the_bartlett_sum_is_that_of_its_definition():
+    rng = np.random.default_rng(0)
+    scores = rng.standard_normal((50, 2))
+    total = scores.T @ scores
+    for lag in (1, 2, 3):
+        for k in range(50 - lag):
+            pair = np.outer(scores[k + lag], scores[k])
+            total += (1 - lag / 4) * (pair + pair.T)
+    assert np.allclose(bartlett(scores, 3), total)
+    assert np.allclose(bartlett(scores, 0), scores.T @ scores)
