@@ -1,10 +1,11 @@
 """The force balance: which joint's equation of motion does not close, and linear estimates from it.
 
 Positions are smoothed narrowly by a Gaussian and differenced; the engine's inverse dynamics gives
-the force each joint needs; what the actuators give is subtracted, and both sides are low-pass filtered (inverse-dynamics identification:
-Gautier, Khalil, Direct calculation of minimum set of inertial parameters, IEEE TRA 6, 1990; the input
-is filtered alike, as in Janot, Vandanjon, Gautier, IEEE TCST 22, 2014).  Needs every joint's position
-measured.  Several widths are tried; noise in the regressors biases narrow ones, wide ones smear.
+the force each joint needs; what the actuators give is subtracted, and both sides are low-pass
+filtered alike (inverse-dynamics identification: Gautier, Khalil, Direct calculation of minimum set
+of inertial parameters, IEEE TRA 6, 1990; parallel filtering as in Janot, Vandanjon, Gautier, IEEE
+TCST 22, 2014).  Needs every joint's position measured.  Several widths are tried; noise in the
+regressors biases narrow ones, wide ones smear.
 """
 
 from __future__ import annotations
