@@ -22,6 +22,7 @@ from physid.criticism.account import (
 )
 from physid.criticism.localisation import Latent, latent_forces, where
 from physid.errors import NumericsError
+from physid.identification.accuracy import with_substeps
 from physid.identification.fitting import Fitted, closing_balance, fit_study
 from physid.identification.output_error import Problem, minimise
 from physid.identification.staged import ENOUGH, SHORT, thinned, windowed
@@ -194,7 +195,8 @@ def lack_of(fitted: Fitted, better: Fitted | None = None) -> Lack:
     Where a better model is known, they are that model's: then its added effects are what is missing,
     and the force shows their law (a partial residual: Larsen, McCleary, Technometrics 14, 1972).
     """
-    short = thinned(windowed(fitted.problem, SHORT), ENOUGH)
+    coarser = max(1, fitted.problem.windows[0].simulator.substeps // 4)
+    short = with_substeps(thinned(windowed(fitted.problem, SHORT), ENOUGH), coarser)
     try:
         model = _bent(short, fitted) if better is None else _without_added(fitted, better)
         frozen = replace(short, model=model, parameters=())

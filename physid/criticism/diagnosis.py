@@ -141,11 +141,11 @@ def diagnose_study(
         if found is not None:
             fits.append(found)
     scales = {g[0].place: g[0].scales for g in groups}
-    fits = _best_with_blocks(base, _with_siblings(base, fits, scales))
+    fits = _best_with_blocks(base, _with_siblings(base, fits, scales), scales)
     partnered = _wanting_partners(base, fits)
     if partnered:
         _report(options, span, "trying pairs", 0.65)
-        fits = _best_with_blocks(base, [*fits, *_pairs(base, fits, partnered, candidates)])
+        fits = _best_with_blocks(base, [*fits, *_pairs(base, fits, partnered, candidates)], scales)
     _report(options, span, "judging on data not used for the choice", 0.9)
     ranked = _ranked(base, judging, fits, max(len(candidates), 1))
     verdict, sentence = _verdict(study, base, ranked, named)
@@ -255,14 +255,17 @@ def _with_siblings(base: Base, fits: list[Refit], scales: dict[Place, Scales]) -
     return out
 
 
-def _best_with_blocks(base: Base, fits: Sequence[Refit]) -> list[Refit]:
+def _best_with_blocks(
+    base: Base, fits: Sequence[Refit], scales: dict[Place, Scales]
+) -> list[Refit]:
     """Keep the best candidates on windows, fit those on whole stretches, and sort them all."""
     horizons = ("short", "long")
     ordered = sorted(fits, key=lambda f: _score(base, f, horizons))
     clear = bool(ordered) and _score(base, ordered[0], horizons) < -LEAST_GAIN
     promising = ordered[: SHOWN if clear else FEW]
     done = [f if "block" in f.fits else with_block(base, f) for f in promising]
-    return sorted(done, key=lambda f: _score(base, f, tuple(base.fits)))
+    kept = [f for f in done if f.plausible(scales)]
+    return sorted(kept, key=lambda f: _score(base, f, tuple(base.fits)))
 
 
 def _score(base: Base, fit: Refit, horizons: Sequence[str]) -> float:

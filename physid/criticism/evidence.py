@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +20,7 @@ from physid.identification.windows import Span
 from physid.plant.effect import Placed, Scales
 from physid.plant.model import Model
 from physid.plant.parameter import Parameter
+from physid.plant.structure import Place
 
 HORIZONS = {"short": SHORT, "long": LONG, "block": float("inf")}
 """Window lengths in typical periods at which candidates are fitted and judged."""
@@ -62,8 +63,22 @@ class Refit:
     @property
     def fitted(self) -> tuple[Placed, ...]:
         """The added effects at the values fitted on long windows."""
-        model = at_values(self.problem.model, self.problem.parameters, self.fits["long"].theta)
+        return self.fitted_at("long")
+
+    def fitted_at(self, horizon: str) -> tuple[Placed, ...]:
+        """Return the added effects at the values fitted at a horizon."""
+        model = at_values(self.problem.model, self.problem.parameters, self.fits[horizon].theta)
         return tuple(next(p for p in model.effects if p.same_site(a)) for a in self.added)
+
+    def plausible(self, scales: Mapping[Place, Scales]) -> bool:
+        """Say whether every added effect still is itself at the values of every long horizon."""
+        return all(
+            p.effect.plausible(p.values, scales[p.place])
+            for horizon in self.fits
+            if horizon != "short"
+            for p in self.fitted_at(horizon)
+            if p.place in scales
+        )
 
     def sites(self) -> tuple[tuple[str, str], ...]:
         """The added effects as (effect, location) pairs."""

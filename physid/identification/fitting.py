@@ -112,7 +112,8 @@ def closing_balance(fitted: Fitted) -> Balance | None:
     """Return the force balance of a fitted model, its parameters estimated anew from it.
 
     Of several smoothing widths the one is taken whose parameters simulate the records' long windows
-    best; None where the records do not show every joint.
+    best (on the engine, where simulating costs more, the second narrowest); None where the records do
+    not show every joint.
     """
     problem = fitted.problem
     experiments = [w.experiment for w in problem.windows]
@@ -120,8 +121,11 @@ def closing_balance(fitted: Fitted) -> Balance | None:
         return None
     hold = problem.windows[0].simulator.hold
     long = windowed(problem, LONG)
+    tried_widths = widths(experiments)
+    if not problem.windows[0].simulator.compiled:
+        tried_widths = tried_widths[1:2]
     found = []
-    for width in widths(experiments):
+    for width in tried_widths:
         try:
             tried = balance(
                 problem.model,
@@ -133,7 +137,7 @@ def closing_balance(fitted: Fitted) -> Balance | None:
                 theta=fitted.estimate.theta,
             )
             model = at_values(problem.model, problem.parameters, tried.theta)
-            squares = states_only(replace(long, model=model)).squares
+            squares = states_only(replace(long, model=model)).squares if len(tried_widths) > 1 else 0.0
         except (np.linalg.LinAlgError, ValueError, NumericsError, ModelError):
             continue
         if np.isfinite(squares):

@@ -225,7 +225,9 @@ class Model:
         for element in found:
             joints, most = np.count_nonzero(element.row), (ELEMENT_WIDTH - 10) // 3
             if joints > most:
-                raise ModelError(f"{self.site(placed)} couples {joints} joints; at most {most} can.")
+                raise ModelError(
+                    f"{self.site(placed)} couples {joints} joints; at most {most} can."
+                )
         return found
 
     @property

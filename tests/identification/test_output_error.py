@@ -8,10 +8,16 @@ from scipy.optimize import least_squares
 
 from physid.errors import DivergedError
 from physid.identification.accuracy import refine_steps
-from physid.identification.output_error import linearise, minimise, residuals_of
+from physid.identification.output_error import (
+    differences,
+    linearise,
+    minimise,
+    residuals_of,
+    with_activations,
+)
 from physid.identification.staged import thinned, windowed
 from physid.identification.windows import cut, initial_states, whole
-from tests.plant.rigs import PENDULUM, load_text, oscillator
+from tests.plant.rigs import PENDULUM, SERVOS, inputs_for, load_text, oscillator, plain, run
 
 from .rigs import (
     NAMES,
@@ -218,6 +224,43 @@ def test_what_is_not_measured_rests_on_its_spring():
     guess = initial_states(model, windows)
     assert np.allclose(guess[:, 0], guess[:, 1], atol=1e-6)
     assert np.allclose(guess[:, 2], guess[:, 3], atol=1e-6)
+
+
+def test_activations_at_windows_are_those_of_the_whole_run():
+    model = load_text(SERVOS)
+    simulator = plain(model, 1e-3, 2)
+    plant, inputs = model.compile(simulator.step), inputs_for(model, 300)
+    first = with_activations(
+        plant, simulator.controls(plant, inputs), np.zeros((1, 4)), np.zeros(1, int), 2
+    )
+    states = run(simulator, model, inputs, first).states[0]
+    starts = np.array([0, 17, 130, 299])
+    found = with_activations(
+        plant, simulator.controls(plant, inputs), states[starts, :4], starts, 2
+    )
+    assert plant.model.na == 3
+    assert np.allclose(found, states[starts], atol=1e-7)
+
+
+def test_central_differences_are_those_of_the_limit():
+    problem = spring_problem(noise=np.zeros((500, 1)))
+    theta, states = problem.start(), [np.array([[0.02, -0.1]])]
+    base = residuals_of(problem, [theta], [states])[0]
+    exact = []
+    for k in range(3):
+        step = 1e-6 * theta * np.eye(3)[k]
+        ends = residuals_of(problem, [theta - step, theta + step], [states] * 2)
+        exact.append((ends[0][0] - ends[1][0]).ravel() / (2 * step[k]))
+    forward = differences(problem, theta, states, base)[0][0][0]
+    central = differences(problem, theta, states, base, central=True)[0][0][0]
+    size = np.abs(exact).max(axis=1)
+    assert (np.abs(central - np.transpose(exact)).max(axis=0) < 1e-6 * size).all()
+    assert (np.abs(forward - central).max(axis=0) > 1e-6 * size).any()
+    at = replace(problem.parameters[0], lower=theta[0])
+    bounded = replace(problem, parameters=(at, *problem.parameters[1:]))
+    one_sided = differences(bounded, theta, states, base, central=True)[0][0][0]
+    assert np.array_equal(one_sided[:, 0], forward[:, 0])
+    assert np.array_equal(one_sided[:, 1:], central[:, 1:])
 
 
 def test_the_step_is_refined_until_it_does_not_matter():
