@@ -24,10 +24,10 @@ from physid.criticism.evidence import (
     start_of,
     with_block,
 )
-from physid.criticism.screening import Scored, possible_candidates, screen, shortlist
 from physid.effects.catalogue import CATALOGUE
 from physid.errors import NumericsError
 from physid.identification.output_error import Estimate, Problem
+from physid.identification.screening import Scored, possible_candidates, screen, shortlist
 from physid.identification.staged import (
     ENOUGH,
     Spans,
@@ -353,6 +353,7 @@ def _pairs(
     """Try a second effect beside some singles; keep a pair that halves what remains."""
     found: list[Refit] = []
     wanted = list(candidates)
+    most = PARTNERS - 1 if len(singles) > 1 else REFITS
     for single in singles:
         problems = {h: single.problem.with_windows(base.problems[h].windows) for h in single.fits}
         rest = [
@@ -364,7 +365,7 @@ def _pairs(
             )
         ]
         grounds = [(problems[h], single.fits[h]) for h in single.fits]
-        for group in _screened(grounds, rest, PARTNERS - 1, 1):
+        for group in _screened(grounds, rest, most, 1):
             pair = refit(
                 base,
                 problems["long"],

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import norm
 
-from physid.criticism.screening import orthonormal
 from physid.errors import ModelError, NumericsError
 from physid.identification.force_balance import balance, observable, widths
 from physid.identification.noise import correlation_time
 from physid.identification.output_error import Estimate, Problem, linearise, minimise
+from physid.identification.screening import orthonormal
 from physid.identification.staged import LONG, SHORT, states_only
 from physid.identification.study import at_values
 from physid.identification.uncertainty import bartlett

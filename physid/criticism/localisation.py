@@ -14,7 +14,6 @@ from itertools import pairwise
 import mujoco
 import numpy as np
 
-from physid.criticism.screening import scales_of, thinned_fit
 from physid.identification.output_error import (
     Estimate,
     Problem,
@@ -23,6 +22,7 @@ from physid.identification.output_error import (
     residuals_of,
     with_activations,
 )
+from physid.identification.screening import scales_of, thinned_fit
 from physid.plant.model import Model
 from physid.plant.structure import Place
 

@@ -10,17 +10,13 @@ import numpy as np
 
 from physid.criticism.account import record_curves, residual_curves, spectrum_curves
 from physid.criticism.comparison import Lack, correlation_curves, latent_curves
-from physid.identification.experiment import ranges_of
 from physid.identification.fitting import Fitted
 from physid.identification.output_error import Estimate, Problem
-from physid.identification.study import Study
 from physid.plant.callback import run_time_laws
 from physid.plant.model import Model
 
 
-def diagnosis_curves(
-    study: Study, base: Fitted, best: Fitted | None, lack: Lack
-) -> dict[str, np.ndarray]:
+def diagnosis_curves(base: Fitted, best: Fitted | None, lack: Lack) -> dict[str, np.ndarray]:
     """Return the pictures' curves of a diagnosis."""
     shown = best or base
     curves = {
@@ -36,7 +32,7 @@ def diagnosis_curves(
     if best is not None:
         curves |= record_curves(best.problem, best.estimate, "after")
         curves |= spectrum_curves(best.problem, best.estimate, "after")
-        curves |= law_curves(study, lack, best)
+        curves |= law_curves(lack, best)
     return curves
 
 
@@ -50,17 +46,17 @@ def tested_curves(
     return curves | {"records": np.array(first + len(before[0].windows))}
 
 
-def law_curves(study: Study, lack: Lack, best: Fitted) -> dict[str, np.ndarray]:
+def law_curves(lack: Lack, best: Fitted) -> dict[str, np.ndarray]:
     """Return the law of the first effect added at a joint, from the engine's inverse dynamics."""
     model: Model = best.model
     new = [p for p in model.effects if not any(p.same_site(q) for q in lack.model.effects)]
     added = [p for p in new if p.place.kind == "joint"]
-    if not added:
+    if not added or not lack.forces:
         return {}
     placed = added[0]
     axis = "speed" if placed.effect.family == "friction" else "position"
     joint = model.structure.joint(placed.place.name)
-    span = _span(study, joint.name, axis)
+    span = _span(lack, joint.name, axis)
     step = best.problem.windows[0].simulator.step
     without = replace(model, effects=tuple(p for p in model.effects if p is not placed))
     needed = [_inverse_force(m, step, joint, axis, span) for m in (without, model)]
@@ -73,12 +69,11 @@ def law_curves(study: Study, lack: Lack, best: Fitted) -> dict[str, np.ndarray]:
     }
 
 
-def _span(study: Study, joint: str, axis: str) -> np.ndarray:
-    ranges = ranges_of(study.model, study.experiments)
-    limit = (ranges.speed if axis == "speed" else ranges.position)[
-        study.model.structure.joint(joint).dof
-    ]
-    return np.linspace(-limit, limit, 401)
+def _span(lack: Lack, joint: str, axis: str) -> np.ndarray:
+    """Return the stretch of position or speed that the records visited."""
+    force = next(f for f in lack.forces if f.joint == joint)
+    visited = force.speed if axis == "speed" else force.position
+    return np.linspace(visited.min(), visited.max(), 401)
 
 
 def _inverse_force(

@@ -66,7 +66,7 @@ def diagnose(
     lack = lack_of(base, best)
     return Result(
         data=diagnosis_data(study, found, base, lack),
-        curves=diagnosis_curves(study, base, best, lack),
+        curves=diagnosis_curves(base, best, lack),
         model=base.model,
     )
 
@@ -268,7 +268,7 @@ def _refinement(
     }
     if first.verdict != "effect_missing":
         data["sentence"] = first.sentence
-    return Refinement(data=data, curves=_curves(study, steps, lack), model=last.model, xml=xml)
+    return Refinement(data=data, curves=_curves(steps, lack), model=last.model, xml=xml)
 
 
 def _without_starts(
@@ -313,10 +313,7 @@ def _step_row(step: Step) -> dict[str, Any]:
     std = dict(
         zip((p.name for p in fitted.problem.parameters), fitted.uncertainty.std_error, strict=True)
     )
-    values = [
-        next(q for q in model.effects if q.same_site(p))
-        for p in step.added
-    ]
+    values = [next(q for q in model.effects if q.same_site(p)) for p in step.added]
     return {
         "added": [effect_row(fitted.problem.model, p, std) for p in values],
         "train": nrmse_by_channel(channel_rows(fitted.problem, fitted.estimate)),
@@ -325,10 +322,10 @@ def _step_row(step: Step) -> dict[str, Any]:
     }
 
 
-def _curves(study: Study, steps: Sequence[Step], lack: Lack) -> dict[str, np.ndarray]:
+def _curves(steps: Sequence[Step], lack: Lack) -> dict[str, np.ndarray]:
     base, last = steps[0], steps[-1]
     grown = len(steps) > 1
-    curves = diagnosis_curves(study, base.fitted, last.fitted if grown else None, lack)
+    curves = diagnosis_curves(base.fitted, last.fitted if grown else None, lack)
     if base.tested is not None:
         trains = len(base.fitted.problem.windows)
         curves |= tested_curves(base.tested, last.tested if grown else None, trains)

@@ -64,12 +64,19 @@ def fit_study(study: Study, *, from_windows: bool = True) -> Fitted:
         problem, estimate.theta, estimate.states, problem.windows[0].simulator.substeps
     )
     if problem.windows[0].simulator.substeps != study.simulator.substeps:
-        estimate = fit_whole(problem, estimate.theta) if problem.parameters else _frozen(problem)
+        estimate = _again(problem, estimate)
     return confirmed(problem, estimate, error)
 
 
-def _frozen(problem: Problem) -> Estimate:
-    return states_only(problem)
+def _frozen(problem: Problem, states: list[np.ndarray] | None = None) -> Estimate:
+    return states_only(problem, states)
+
+
+def _again(problem: Problem, estimate: Estimate) -> Estimate:
+    """Fit once more from where a fit ended, initial states included."""
+    if not problem.parameters:
+        return _frozen(problem, estimate.states)
+    return fit_whole(problem, estimate.theta, estimate.states)
 
 
 def confirmed(problem: Problem, estimate: Estimate, error: float) -> Fitted:
@@ -89,9 +96,7 @@ def confirmed(problem: Problem, estimate: Estimate, error: float) -> Fitted:
         if not agree:
             notes = ("The compiled back end differs from MuJoCo here; the result is MuJoCo's own.",)
             problem = reference
-            estimate = (
-                fit_whole(problem, estimate.theta) if problem.parameters else _frozen(problem)
-            )
+            estimate = _again(problem, estimate)
     return Fitted(
         problem=problem,
         estimate=estimate,
@@ -137,7 +142,9 @@ def closing_balance(fitted: Fitted) -> Balance | None:
                 theta=fitted.estimate.theta,
             )
             model = at_values(problem.model, problem.parameters, tried.theta)
-            squares = states_only(replace(long, model=model)).squares if len(tried_widths) > 1 else 0.0
+            squares = (
+                states_only(replace(long, model=model)).squares if len(tried_widths) > 1 else 0.0
+            )
         except (np.linalg.LinAlgError, ValueError, NumericsError, ModelError):
             continue
         if np.isfinite(squares):

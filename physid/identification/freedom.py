@@ -14,7 +14,7 @@ from physid.plant.parameter import Parameter, every_name
 
 FIRST = ("damping", "stiffness", "armature", "frictionloss", "gear")
 LATER = ("mass", "inertia", "com.x", "com.y", "com.z")
-ALIKE = 0.02
+ALIKE = 0.002
 """A column with less than this share left beside the others cannot be told from them."""
 VAGUE = 0.3
 """Largest predicted standard error, relative to the value, of a parameter freed automatically."""

@@ -315,9 +315,7 @@ def parameter_steps(parameters: Sequence[Parameter], theta: np.ndarray) -> np.nd
     return np.where(over, -steps, steps)
 
 
-def _mirrored(
-    parameters: Sequence[Parameter], theta: np.ndarray, steps: np.ndarray
-) -> list[int]:
+def _mirrored(parameters: Sequence[Parameter], theta: np.ndarray, steps: np.ndarray) -> list[int]:
     """Return which parameters may also be stepped the other way."""
     return [
         k

@@ -61,11 +61,11 @@ def on_whole_records(problem: Problem) -> Problem:
     return problem.with_windows([whole(w.experiment, w.simulator) for w in problem.windows])
 
 
-def starting_point(problem: Problem) -> np.ndarray:
+def starting_point(problem: Problem, extra: Sequence[np.ndarray] = ()) -> np.ndarray:
     """Find parameter values near the minimum on long windows.
 
     Candidates: the given values, the force balance at several widths (where every joint is seen), and
-    a fit of short windows; each is judged on long windows and the best is fitted there.
+    a fit of short windows, and any ``extra``; each is judged on long windows.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def starting_point(problem: Problem) -> np.ndarray:
     long = thinned(windowed(problem, LONG), ENOUGH)
     if not problem.parameters:
         return problem.start()
-    found = [problem.start(), *_from_force_balance(problem)]
+    found = [problem.start(), *extra, *_from_force_balance(problem)]
     costs = [_cost(long, theta) for theta in found]
     best = found[int(np.argmin(costs))]
     if not np.isfinite(min(costs)):
@@ -138,8 +138,14 @@ def fit_windows(
     return estimate
 
 
-def fit_whole(problem: Problem, theta: np.ndarray, *, tolerance: float = 1e-6) -> Estimate:
-    """Fit on the whole records, from values found on windows.
+def fit_whole(
+    problem: Problem,
+    theta: np.ndarray,
+    states: list[np.ndarray] | None = None,
+    *,
+    tolerance: float = 1e-6,
+) -> Estimate:
+    """Fit on the whole records, from values found on windows, and from initial states if known.
 
     Raises
     ------
@@ -147,7 +153,7 @@ def fit_whole(problem: Problem, theta: np.ndarray, *, tolerance: float = 1e-6) -
         If the simulation diverges or no minimum is reached.
     """
     whole_problem = on_whole_records(problem)
-    estimate = minimise(whole_problem, theta, iterations=40, tolerance=tolerance)
+    estimate = minimise(whole_problem, theta, states, iterations=40, tolerance=tolerance)
     if not np.isfinite(estimate.chi2):
         raise ConvergenceError("The fit did not reach a finite misfit; check the model's units.")
     return estimate

@@ -21,12 +21,14 @@ from physid.identification.experiment import (
 from physid.identification.freedom import candidates, identifiable, named
 from physid.identification.noise import noise_level
 from physid.identification.output_error import Problem, minimise
+from physid.identification.screening import screen
 from physid.identification.staged import (
     ENOUGH,
     LONG,
     SHORT,
     on_whole_records,
     starting_point,
+    states_only,
     thinned,
     windowed,
 )
@@ -127,7 +129,8 @@ def prepare(
     problem = replace(problem, parameters=parameters)
     _check_rows(problem)
     options.report("finding a start", 0.1)
-    theta = starting_point(problem)
+    problem, extra = _started(problem, set(free))
+    theta = starting_point(problem, extra)
     if options.hold in (None, "auto") and parameters:
         problem, theta, note = choose_hold(problem, theta)
         notes += [note] if note else []
@@ -142,6 +145,62 @@ def prepare(
         integration_error=error,
         options=options,
     )
+
+
+def _started(problem: Problem, free: set[str]) -> tuple[Problem, list[np.ndarray]]:
+    """Give effects that were added without values a start: the best shape their screening finds.
+
+    Returns
+    -------
+    (Problem, list of ndarray (p,))
+        The problem with those starting values, and where to start everything from.
+    """
+    model = problem.model
+    names = {
+        id(p): {c.name: model.coefficient_name(p, c) for c in p.effect.coefficients}
+        for p in model.effects
+    }
+    blank = [p for p in model.effects if free & set(names[id(p)].values())]
+    if not blank:
+        return problem, []
+    kept = tuple(p for p in model.effects if p not in blank)
+    plain = tuple(p for p in problem.parameters if p.name not in free)
+    known = {n for p in kept for n in names[id(p)].values()}
+    plain = tuple(p for p in plain if "@" not in p.name or p.name in known)
+    bare = replace(problem, model=replace(model, effects=kept), parameters=plain)
+    ground_problem = thinned(windowed(bare, LONG), ENOUGH)
+    theta = starting_point(bare)
+    frozen = replace(ground_problem, model=at_values(bare.model, plain, theta))
+    ground = replace(states_only(frozen), theta=theta)
+    found: dict[str, float] = {}
+    for placed in blank:
+        given = {c: v for c, v in placed.values.items() if names[id(placed)][c] not in free}
+        scored = [
+            s
+            for s in screen(ground_problem, ground, [(placed.effect, placed.place)])
+            if all(
+                s.start.values[c.name] == given[c.name]
+                for c in placed.effect.coefficients
+                if c.fixed and c.name in given
+            )
+        ]
+        if scored:
+            found |= {
+                names[id(placed)][c]: v for c, v in scored[0].start.values.items() if c not in given
+            }
+            theta = scored[0].theta if len(blank) == 1 else theta
+    model = model.with_values(found)
+    parameters = tuple(_started_parameter(p, found) for p in problem.parameters)
+    start = {p.name: float(v) for p, v in zip(plain, theta, strict=True)}
+    everything = np.array([start.get(p.name, p.value) for p in parameters])
+    return replace(problem, model=model, parameters=parameters), [everything]
+
+
+def _started_parameter(parameter: Parameter, found: Mapping[str, float]) -> Parameter:
+    if parameter.name not in found:
+        return parameter
+    value = float(np.clip(found[parameter.name], parameter.lower, parameter.upper))
+    return replace(parameter, value=value, scale=abs(value) or parameter.scale)
 
 
 def experiments_of(model: Model, records: Sequence[object], options: Options) -> list[Experiment]:

@@ -30,9 +30,7 @@ class Uncertainty:
 
 def uncertainty_of(problem: Problem, estimate: Estimate) -> Uncertainty:
     """Return the covariance of the free parameters at an estimate."""
-    point = linearise(
-        problem, estimate.theta, estimate.states, estimate.residuals, central=True
-    )
+    point = linearise(problem, estimate.theta, estimate.states, estimate.residuals, central=True)
     p = len(estimate.theta)
     if not p:
         return Uncertainty(np.zeros((0, 0)), np.zeros(0))

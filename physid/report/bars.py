@@ -54,7 +54,7 @@ def error_steps(
     """
     drawn = figure(height, barmode="group", showlegend=False)
     series = [(s, n) for s, n in zip((train, test), labels, strict=True) if any_known(s)]
-    crowded = len(series) * len(names) > 6
+    crowded = len(series) * len(names) > 5
     colors = [BEFORE if by_step and i == 0 else AFTER for i in range(len(names))]
     for index, (values, name) in enumerate(series):
         faint = len(series) == 2 and index == 0
@@ -113,7 +113,7 @@ def shares(names: Sequence[str], values: Sequence[float], *, height: int = 0) ->
     plotly.graph_objects.Figure
     """
     top = max(values, default=1.0)
-    drawn = figure(height or 60 + 34 * len(names), showlegend=False)
+    drawn = figure(height or 84 + 32 * len(names), showlegend=False)
     drawn.add_trace(
         go.Bar(
             x=[100.0 * v for v in values],
