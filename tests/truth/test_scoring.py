@@ -252,7 +252,7 @@ def test_command_line(script, monkeypatch, tmp_path):
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 0, result.output
     told = json.loads(result.stdout)
-    assert {"name": "first_strict", "value": 1.0, "op": ">=", "bound": 0.8, "holds": True} in (
+    assert {"name": "first_strict", "value": 1.0, "op": ">=", "bound": 0.85, "holds": True} in (
         told["figures"]
     )
     assert len(told["cases"]) == 2
