@@ -38,6 +38,8 @@ from physid.identification.windows import whole
 from physid.plant.effect import Placed
 from physid.plant.model import Model
 
+EARNED = 0.9
+"""Squares on the whole records must fall to this share for an added effect to stay."""
 MOST_ROUNDS = 4
 """Diagnoses in one refinement at most."""
 
@@ -189,18 +191,38 @@ def refine(
         remaining = found.verdict
         if found.verdict != "effect_missing":
             break
-        best = found.candidates[0]
-        steps += _added_one_by_one(study, tests, found)
-        study = replace(
-            with_effects(study, best),
-            theta=steps[-1].fitted.estimate.theta,
-            problem=replace(
-                with_effects(study, best).problem, parameters=steps[-1].fitted.problem.parameters
-            ),
-        )
+        added = _added_one_by_one(study, tests, found)
+        kept = _earning_their_place(steps[-1], added)
+        steps += added[:kept]
+        if kept:
+            problem = replace(steps[-1].fitted.problem, windows=study.problem.windows)
+            study = replace(study, problem=problem, theta=steps[-1].fitted.estimate.theta)
+        if kept < len(added):
+            remaining = "nothing_missing" if _is_noise(steps[-1].fitted) else "unexplained"
+            break
     assert first is not None
     settings.report("writing the refined model", 0.95)
     return _refinement(study, tests, steps, first, remaining)
+
+
+def _is_noise(fitted: Fitted) -> bool:
+    """Say whether the residuals of all channels are white and free of the input."""
+    rows = channel_rows(fitted.problem, fitted.estimate)
+    return all(c["residual_white"] and not c["input_correlated"] for row in rows for c in row)
+
+
+def _earning_their_place(before: Step, added: Sequence[Step]) -> int:
+    """Return how many of the steps to keep: the most that lower the squares on whole records clearly.
+
+    An effect may gain on windows what it loses over a whole record; then it only imitates what is
+    really missing.
+    """
+    best, kept = before.fitted.estimate.squares, 0
+    for k, step in enumerate(added, start=1):
+        squares = step.fitted.estimate.squares
+        if squares < EARNED * best:
+            best, kept = squares, k
+    return kept
 
 
 def _added_one_by_one(study: Study, tests: Sequence[object], found: Diagnosis) -> list[Step]:

@@ -13,6 +13,8 @@ FINEST = 16
 """Most steps per sample."""
 SHARE = 0.1
 """Allowed integration error as a share of the noise."""
+SHARE_OF_RESULT = 0.02
+"""... in a final fit, where error that adds up over a record must stay below the standard errors."""
 SHARE_OF_MISFIT = 0.01
 """... or of the misfit, where that is larger."""
 
@@ -22,10 +24,11 @@ def refine_steps(
     theta: np.ndarray,
     states: list[np.ndarray],
     at_least: int = 1,
+    share: float = SHARE,
 ) -> tuple[Problem, float]:
     """Choose the number of RK4 steps per sample so that integration error does not matter.
 
-    Halves the step until halving it once more changes the simulated outputs by less than a tenth of
+    Halves the step until halving it once more changes the simulated outputs by less than ``share`` of
     the noise (or a hundredth of the misfit).
 
     Returns
@@ -39,7 +42,7 @@ def refine_steps(
         fine = _simulate(problem, theta, states, 2 * substeps)
         error = _rms([a - b for a, b in zip(coarse, fine, strict=True)])
         misfit = _rms(fine)
-        if error <= max(SHARE, SHARE_OF_MISFIT * misfit) or 2 * substeps > FINEST:
+        if error <= max(share, share / SHARE * SHARE_OF_MISFIT * misfit) or 2 * substeps > FINEST:
             return with_substeps(problem, substeps), float(error)
         substeps, coarse = 2 * substeps, fine
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from physid.report.notation import (
     MISSING,
+    NO_BREAK,
     given,
     interval,
     p_value,
@@ -246,7 +247,7 @@ def _errors(value: object) -> str:
     found = numbers(value)
     if len(found) < 2:
         return "".join(percent(item) for item in found.values()) or MISSING
-    return "\n".join(f"{name}: {percent(item)}" for name, item in found.items())
+    return "\n".join(f"{name}:{NO_BREAK}{percent(item)}" for name, item in found.items())
 
 
 def steps(entries: object) -> Table:
