@@ -38,8 +38,8 @@ from physid.identification.windows import whole
 from physid.plant.effect import Placed
 from physid.plant.model import Model
 
-EARNED = 0.9
-"""Squares on the whole records must fall to this share for an added effect to stay."""
+EARNED = 0.8
+"""Squares on the whole records must fall to this share (the error by a tenth) for an effect to stay."""
 MOST_ROUNDS = 4
 """Diagnoses in one refinement at most."""
 

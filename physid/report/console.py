@@ -58,7 +58,9 @@ def draw(table: tables.Table, title: str = "") -> RichTable:
     for i in shown:
         column = table.columns[i]
         justify: Any = "right" if column.numeric else "left"
-        drawn.add_column(Text(column.heading), justify=justify, overflow="fold")
+        heading = Text(column.heading)
+        whole = column.numeric
+        drawn.add_column(heading, justify=justify, overflow="fold", no_wrap=whole)
     for row, tone in zip(table.rows, table.tones, strict=True):
         drawn.add_row(*(Text(row[i]) for i in shown), style=_COLORS[tone] or None)
     return drawn

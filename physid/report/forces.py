@@ -47,9 +47,8 @@ def latent_blocks(result: Result, curves: Curves) -> list[Block]:
         if (shown := _latent_picture(result, curves, joint, force, units, _limits(found, units[2])))
     ]
     words = "Each point is a short push on the joint, such that the model without the effects "
-    words += (
-        "named here would follow the record. Single pushes are noisy, their mean is less so. A "
-    )
+    words += "named here would follow the record. Noise scatters the pushes, draws them towards "
+    words += "zero and spreads them over joints that move alike; their mean shows the shape. A "
     words += "pattern against speed is friction or damping, against position a spring, gravity or "
     words += "a gap."
     return [Block(heading="The missing force", text=words, pictures=tuple(drawn))] if drawn else []
