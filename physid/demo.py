@@ -84,9 +84,7 @@ def measure(directory: str | os.PathLike[str], *, seed: int = 0) -> Experiment:
     )
     rng = np.random.default_rng(seed)
     phase = int(rng.integers(255))
-    write_record(
-        _run(MSequence(stages=8, clock=0.02, amplitude=0.5, seed=phase), rng), files.train
-    )
+    write_record(_run(MSequence(stages=8, clock=0.02, amplitude=0.5, seed=phase), rng), files.train)
     write_record(_run(Multisine(low=0.25, high=30.0, duration=8.0, amplitude=0.9), rng), files.test)
     files.model.write_text(rig_path("two_inertia").read_text(encoding="utf-8"), encoding="utf-8")
     return files

@@ -43,9 +43,9 @@ from physid.plant.structure import Place
 Verdict = Literal["effect_missing", "nothing_missing", "unexplained"]
 REFITS = 4
 """Candidates refitted from each of the two screenings."""
-TRIALS = 2
+TRIALS = 3
 """Shapes of each that are started from."""
-MOST_STARTS = 3
+MOST_STARTS = 4
 """Starts of one candidate, over all screenings."""
 PARTNERS = 3
 """Best single effects that get a partner, and partners tried from each screening."""

@@ -173,7 +173,7 @@ def refit(
 
 
 def _promising(base: Base, inner: Problem, starts: Sequence[Start], scales: Scales) -> list[Start]:
-    """Keep the start that is best on long windows; two for an effect whose shape is fitted."""
+    """Keep the start that is best on long windows; three for an effect whose shape is fitted."""
     if len(starts) < 2:
         return list(starts)
     costs = []
@@ -189,7 +189,7 @@ def _promising(base: Base, inner: Problem, starts: Sequence[Start], scales: Scal
         except (NumericsError, ModelError):
             costs.append(float("inf"))
     shaped = any(c.shape for c in starts[0].placed.effect.coefficients)
-    order = np.argsort(costs)[: 2 if shaped else 1]
+    order = np.argsort(costs)[: 3 if shaped else 1]
     return [starts[k] for k in order if np.isfinite(costs[k])]
 
 

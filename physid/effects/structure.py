@@ -9,7 +9,7 @@ import numpy as np
 
 from physid.effects.friction import SMALL
 from physid.effects.native import add_passive_force
-from physid.effects.transmission import polar
+from physid.effects.transmission import in_proportion, polar
 from physid.plant.effect import Coefficient, Effect, Scales, Trial, spec_element
 from physid.plant.structure import Place
 
@@ -49,6 +49,9 @@ class GravityImbalance(Effect):
 
     def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
         add_passive_force(spec, place, self.name, values["amplitude"], 1.0, values["phase"])
+
+    def plausible(self, values: Mapping[str, float], scales: Scales) -> bool:
+        return in_proportion(values["amplitude"], scales)
 
     def trials(self, scales: Scales) -> Sequence[Trial]:
         size = SMALL * scales.force

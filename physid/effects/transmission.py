@@ -16,6 +16,9 @@ from physid.plant.law import force_law
 from physid.plant.parameter import element_id
 from physid.plant.structure import Place, Structure, tendon_row
 
+LARGEST_RIPPLE = 5.0
+"""Largest periodic force, relative to the rms force at its place; more only imitates a bent spring."""
+
 
 @force_law
 def play(x, v, t, p):  # type: ignore[no-untyped-def]
@@ -102,6 +105,9 @@ class Cogging(Effect):
     )
     most_periods: ClassVar[int] = 36
 
+    def plausible(self, values: Mapping[str, float], scales: Scales) -> bool:
+        return in_proportion(values["amplitude"], scales)
+
     def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
         add_passive_force(
             spec, place, self.name, values["amplitude"], values["periods"], values["phase"]
@@ -113,6 +119,11 @@ class Cogging(Effect):
     def start(self, trial: Trial, amplitudes: np.ndarray, scales: Scales) -> dict[str, float]:
         size, phase = polar(trial.columns[0]["amplitude"] * amplitudes)
         return {"amplitude": size, "periods": trial.columns[0]["periods"], "phase": phase}
+
+
+def in_proportion(amplitude: float, scales: Scales) -> bool:
+    """Say whether a periodic force is no larger than the forces at its place can balance."""
+    return amplitude < LARGEST_RIPPLE * scales.force
 
 
 def ripple_trial(size: float, periods: int) -> Trial:

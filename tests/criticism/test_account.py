@@ -68,8 +68,14 @@ def test_records_carry_their_role(fitted):
 
 @pytest.mark.parametrize(
     ("value", "error", "word"),
-    [(0.5, 0.01, ""), (0.0, 0.01, "lower bound"), (2.0, 0.01, "upper bound")]
-    + [(0.5, np.inf, "not identify"), (0.5, 0.7, "Hardly"), (0.5, np.nan, "not identify")],
+    [
+        (0.5, 0.01, ""),
+        (0.0, 0.01, "lower bound"),
+        (2.0, 0.01, "upper bound"),
+        (0.5, np.inf, "not identify"),
+        (0.5, 0.7, "Hardly"),
+        (0.5, np.nan, "not identify"),
+    ],
 )
 def test_note_of_a_parameter(value, error, word):
     parameter = Parameter(name="hinge.damping", value=1.0, unit="N m s/rad", upper=2.0)

@@ -81,8 +81,11 @@ def test_tolerance_must_be_positive(two_inertia, within):
 
 @pytest.mark.parametrize(
     "text",
-    ['"hinge.damping" = 2\n"arm.mass" = 1.5', "hinge.damping = 2\narm.mass = 1.5"]
-    + ["[hinge]\ndamping = 2\n[arm]\nmass = 1.5"],
+    [
+        '"hinge.damping" = 2\n"arm.mass" = 1.5',
+        "hinge.damping = 2\narm.mass = 1.5",
+        "[hinge]\ndamping = 2\n[arm]\nmass = 1.5",
+    ],
 )
 def test_toml_in_every_form(tmp_path, text):
     path = tmp_path / "truth.toml"
