@@ -47,12 +47,12 @@ def peer_fit(generated: Generated) -> float:
         "motor.gear": lambda s, v: s.actuator("motor").gear.__setitem__(0, v),
     }
     start = {
-        "drive.armature": float(model.joint("drive").armature[0]),
-        "drive.damping": float(model.joint("drive").damping[0]),
-        "load.damping": float(model.joint("load").damping[0]),
-        "shaft.stiffness": float(model.tendon("shaft").stiffness[0]),
-        "shaft.damping": float(model.tendon("shaft").damping[0]),
-        "motor.gear": float(model.actuator("motor").gear[0]),
+        "drive.armature": float(model.dof_armature[0]),
+        "drive.damping": float(model.dof_damping[0]),
+        "load.damping": float(model.dof_damping[1]),
+        "shaft.stiffness": float(model.tendon_stiffness[0]),
+        "shaft.damping": float(model.tendon_damping[0]),
+        "motor.gear": float(model.actuator_gear[0, 0]),
     }
     parameters = sysid.ParameterDict()
     for name, value in start.items():
