@@ -113,7 +113,7 @@ def compare(
         "schema": "physid.comparison/1",
         "channels": worst_channels(rows),
         "records": record_rows(fitted.problem, rows, "train"),
-        "where": where(fitted.problem, fitted.estimate, list(lack.forces), []),
+        "where": where(fitted.problem, fitted.estimate, list(lack.forces)),
         "parameters": parameters_of(fitted),
         "notes": [*study.notes, *fitted.notes],
         "simulation": simulation_row(fitted.problem, fitted.integration_error, fitted.confirmed),

@@ -193,11 +193,8 @@ def _pulse_motion(
     return times, np.nan_to_num(run.states[:, middle])
 
 
-def where(
-    problem: Problem, estimate: Estimate, latent: list[Latent], channels: list[str]
-) -> dict[str, object]:
+def where(problem: Problem, estimate: Estimate, latent: list[Latent]) -> dict[str, object]:
     """Return the contract's ``where`` of whole-record residuals and latent forces."""
-    del channels
     return {
         "joints": [
             {"name": f.joint, "share": f.share} for f in sorted(latent, key=lambda f: -f.share)

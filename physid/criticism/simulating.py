@@ -12,6 +12,7 @@ import numpy as np
 from physid.effects.catalogue import add_effects
 from physid.errors import DivergedError, InputError, available
 from physid.identification.accuracy import FINEST
+from physid.identification.output_error import with_activations
 from physid.identification.study import as_model
 from physid.plant.model import Model
 from physid.plant.simulation import Hold, Rollout, Simulator
@@ -154,6 +155,7 @@ def _run(model: Model, dt: float, substeps: int, inputs: np.ndarray, hold: Hold)
     simulator = Simulator(structure=model.structure, dt=dt, substeps=substeps, hold=hold)
     plant = model.compile(simulator.step)
     initial = np.concatenate([plant.model.qpos0, np.zeros(plant.model.nv)])[None]
-    if plant.model.na:
-        initial = np.hstack([initial, np.zeros((1, plant.model.na))])
-    return simulator.run([plant], [initial], inputs, np.zeros(1, int), len(inputs))[0]
+    starts = np.zeros(1, int)
+    controls = simulator.controls(plant, inputs)
+    initial = with_activations(plant, controls, initial, starts, substeps)
+    return simulator.run([plant], [initial], inputs, starts, len(inputs))[0]
