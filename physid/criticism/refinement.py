@@ -30,6 +30,7 @@ from physid.criticism.evidence import start_of, with_candidate
 from physid.criticism.localisation import where
 from physid.criticism.pictures import diagnosis_curves, tested_curves
 from physid.effects.catalogue import load_model_text
+from physid.identification.accuracy import for_engine
 from physid.identification.fitting import Fitted, fit_study
 from physid.identification.output_error import Estimate, Problem, minimise
 from physid.identification.staged import states_only
@@ -264,8 +265,9 @@ def _refinement(
     study: Study, tests: Sequence[Any], steps: list[Step], first: Diagnosis, remaining: str
 ) -> Refinement:
     last = steps[-1].fitted
-    xml = last.model.to_xml(last.problem.windows[0].simulator.step)
-    steps[-1], reread = _from_file(steps[-1], xml, tests)
+    filed, error = for_engine(last.problem, last.estimate.theta, last.estimate.states)
+    xml = last.model.to_xml(filed.windows[0].simulator.step)
+    steps[-1], reread = _from_file(steps[-1], xml, filed, tests)
     train = channel_rows(last.problem, steps[-1].fitted.estimate)
     records = record_rows(last.problem, train, "train")
     if steps[-1].tested is not None:
@@ -286,7 +288,7 @@ def _refinement(
         "force_balance": balance_row(last),
         "first_sentence": first.sentence,
         "notes": [*study.notes, *last.notes, *reread],
-        "simulation": simulation_row(last.problem, last.integration_error, last.confirmed),
+        "simulation": simulation_row(filed, max(last.integration_error, error), last.confirmed),
     }
     if first.verdict != "effect_missing":
         data["sentence"] = first.sentence
@@ -301,11 +303,16 @@ def _without_starts(
     return [row if row["name"] in own else {**row, "initial": None} for row in rows]
 
 
-def _from_file(step: Step, xml: str, tests: Sequence[Any]) -> tuple[Step, list[str]]:
-    """Simulate the last step again from the written file, so that its figures are the file's."""
+def _from_file(
+    step: Step, xml: str, filed: Problem, tests: Sequence[Any]
+) -> tuple[Step, list[str]]:
+    """Simulate the last step again from the written file, so that its figures are the file's.
+
+    ``filed`` is the fitted problem as the engine runs it, at the file's step.
+    """
     fitted = step.fitted
     model = load_model_text(xml, fitted.problem.model)
-    problem = replace(fitted.problem, model=model, parameters=())
+    problem = replace(filed, model=model, parameters=())
     structure = model.structure
     problem = problem.with_windows(
         [replace(w, simulator=replace(w.simulator, structure=structure)) for w in problem.windows]

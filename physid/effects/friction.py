@@ -20,6 +20,8 @@ HIGHEST_RISE = 5.0
 """Largest breakaway force relative to sliding friction that is still Stribeck's."""
 UNEVEN = 0.1
 """Smallest difference between the directions, relative to the mean, that is called asymmetric."""
+NARROWEST, WIDEST = 1e-3, 0.05
+"""Speeds over which the engine's rise of friction changes sign, relative to Stribeck's speed."""
 COULOMB = "Coulomb 1785; Olsson et al., Friction models and friction compensation, EJC 4 (1998)"
 
 
@@ -126,7 +128,8 @@ class StribeckFriction(Effect):
     """Dry friction that falls with speed: -(Fc + (Fs - Fc) exp(-(v/vs)^2)) sign(v).
 
     The part Fc is the engine's friction loss, which can stick; the rise Fs - Fc is a run-time law
-    whose sign is smoothed over 5 % of vs.
+    whose sign is smoothed, inside the engine, over as little as its step allows: the speed that the
+    rise brings about in two steps, and at most 5 % of vs.
     """
 
     name = "stribeck_friction"
@@ -159,11 +162,20 @@ class StribeckFriction(Effect):
     def elements(
         self, model: mujoco.MjModel, place: Place, values: Mapping[str, float]
     ) -> tuple[Element, ...]:
-        row = np.eye(model.nv)[model.jnt_dofadr[element_id(model, place)]]
+        dof = int(model.jnt_dofadr[element_id(model, place)])
         rise = values["static_force"] - values["force"]
         speed = values["stribeck_velocity"]
-        constants = np.array([rise, speed, 0.05 * speed])
-        return (Element(address=stribeck_rise.address, row=row, offset=0.0, constants=constants),)
+        stable = 2.0 * abs(rise) * float(model.dof_invweight0[dof]) * model.opt.timestep
+        smooth = float(np.clip(stable, NARROWEST * speed, WIDEST * speed))
+        return (
+            Element(
+                address=stribeck_rise.address,
+                row=np.eye(model.nv)[dof],
+                offset=0.0,
+                constants=np.array([rise, speed, smooth]),
+                limit=np.array([rise, speed, 1e-12 * speed]),
+            ),
+        )
 
     def trials(self, scales: Scales) -> Sequence[Trial]:
         size = SMALL * scales.force

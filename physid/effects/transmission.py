@@ -71,7 +71,10 @@ class Backlash(Effect):
             row, offset = found, float(model.tendon_lengthspring[i].mean())
             damping = float(model.tendon_damping[i])
         constants = np.array([stiffness_of(model, place), damping, values["gap"]])
-        return (Element(address=play.address, row=row, offset=offset, constants=constants),)
+        edges = (-0.5 * values["gap"], 0.5 * values["gap"])
+        return (
+            Element(address=play.address, row=row, offset=offset, constants=constants, edges=edges),
+        )
 
     def trials(self, scales: Scales) -> Sequence[Trial]:
         return tuple(

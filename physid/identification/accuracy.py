@@ -11,6 +11,8 @@ from physid.identification.windows import Windows
 
 FINEST = 16
 """Most steps per sample."""
+FINEST_IN_FILES = 64
+"""... of a written model, whose friction loss tends to Coulomb's law only with the step."""
 SHARE = 0.1
 """Allowed integration error as a share of the noise."""
 SHARE_OF_RESULT = 0.02
@@ -45,6 +47,38 @@ def refine_steps(
         if error <= max(share, share / SHARE * SHARE_OF_MISFIT * misfit) or 2 * substeps > FINEST:
             return with_substeps(problem, substeps), float(error)
         substeps, coarse = 2 * substeps, fine
+
+
+def for_engine(
+    problem: Problem, theta: np.ndarray, states: list[np.ndarray]
+) -> tuple[Problem, float]:
+    """Return a fitted problem as the engine itself runs it, fine enough to show the same motion.
+
+    The compiled back end has Coulomb's law itself where the engine has a constraint that tends to it;
+    the step is halved until the two differ by less than a tenth of the noise, or to
+    :data:`FINEST_IN_FILES` steps a sample.
+
+    Returns
+    -------
+    (Problem, float)
+        The problem with the engine's friction at that step, and the difference relative to the noise.
+    """
+    exact = residuals_of(problem, [theta], [states])[0]
+    substeps = problem.windows[0].simulator.substeps
+    while True:
+        filed = as_engine(with_substeps(problem, substeps))
+        run = residuals_of(filed, [theta], [states])[0]
+        error = _rms([a - b for a, b in zip(exact, run, strict=True)])
+        if error <= SHARE or 2 * substeps > FINEST_IN_FILES:
+            return filed, error
+        substeps *= 2
+
+
+def as_engine(problem: Problem) -> Problem:
+    """Return the problem with the engine's friction loss in both back ends."""
+    return problem.with_windows(
+        [replace(w, simulator=w.simulator.as_engine()) for w in problem.windows]
+    )
 
 
 def with_substeps(problem: Problem, substeps: int) -> Problem:

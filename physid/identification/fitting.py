@@ -9,7 +9,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from physid.errors import ModelError, NumericsError
-from physid.identification.accuracy import SHARE_OF_RESULT, refine_steps
+from physid.identification.accuracy import SHARE_OF_RESULT, as_engine, refine_steps
 from physid.identification.experiment import Experiment
 from physid.identification.force_balance import Balance, balance, observable, widths
 from physid.identification.output_error import Estimate, Problem, residuals_of
@@ -89,15 +89,17 @@ def _again(problem: Problem, estimate: Estimate) -> Estimate:
 
 
 def confirmed(problem: Problem, estimate: Estimate, error: float) -> Fitted:
-    """Simulate a result once in the engine; fall back on the engine where the back ends differ."""
+    """Simulate a result once in the engine; fall back on the engine where the back ends differ.
+
+    They are compared at the same step and with the engine's own friction loss in both.
+    """
     notes: tuple[str, ...] = ()
     agree = True
     if problem.windows[0].simulator.compiled:
         reference = _on_engine(problem)
-        again = residuals_of(reference, [estimate.theta], [estimate.states])[0]
-        worst = max(
-            float(np.nanmax(np.abs(a - b))) for a, b in zip(again, estimate.residuals, strict=True)
-        )
+        point = [estimate.theta], [estimate.states]
+        runs = [residuals_of(p, *point)[0] for p in (reference, as_engine(problem))]
+        worst = max(float(np.nanmax(np.abs(a - b))) for a, b in zip(*runs, strict=True))
         spread = max(float(w.measured().std()) for w in problem.windows) / float(
             problem.sigma.min()
         )

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from physid.plant.model import Plant
-from physid.plant.network import Network, accelerate
+from physid.plant.network import Network, integrate
 from physid.plant.structure import tendon_row
 
 TRANSMISSION_JOINT = int(mujoco.mjtTrn.mjTRN_JOINT)
@@ -43,33 +43,129 @@ def network_of(plant: Plant, data: mujoco.MjData) -> Network | None:
     mujoco.mj_forward(model, data)
     mass = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, mass)
-    spring_rows, springs = _springs(model)
-    damper_rows, dampers = _dampers(model)
     actuators = _actuators(model)
     friction = _friction(model, data)
     if actuators is None or friction is None:
         return None
     inverse = np.linalg.inv(mass)
     gravity = _gravity(model, data)
+    linear = np.zeros((model.nv + model.na, 1 + 2 * model.nv + model.na + model.nu))
+    linear[: model.nv, 0] = inverse @ gravity[:, 0]
+    springs = _bent_springs(linear, inverse, *_springs(model))
+    dampers = _bent_dampers(linear, inverse, *_dampers(model))
+    sines, cosines = np.split(inverse @ gravity[:, 1:], 2, axis=1)
     laws = plant.elements
+    law_rows = np.array([e.row for e in laws]).reshape(len(laws), model.nv)
+    dry = [k for k, e in enumerate(laws) if e.limit is not None]
+    friction, partners = _with_dry_laws(friction, law_rows, dry)
+    limits = [e.constants if e.limit is None else e.limit for e in laws]
+    edges = [e.edges if e.edges[0] < e.edges[1] else (-np.inf, np.inf) for e in laws]
     lengths = [e.constants.size for e in laws]
     return Network(
-        inverse,
-        spring_rows,
-        springs,
-        damper_rows,
-        dampers,
-        gravity,
-        np.flatnonzero(np.any(gravity[:, 1:].reshape(model.nv, 2, model.nv), axis=(0, 1))),
-        *actuators,
-        *friction,
+        linear,
+        _input_limits(model),
+        np.flatnonzero(np.any(sines, axis=0) | np.any(cosines, axis=0)),
+        np.ascontiguousarray(sines),
+        np.ascontiguousarray(cosines),
+        *springs,
+        *dampers,
+        *_bent_actuators(linear, inverse, model, *actuators),
+        friction[0],
+        friction[0] @ inverse,
+        friction[1],
         np.einsum("ej,jk,ek->e", friction[0], inverse, friction[0]),
-        np.array([e.row for e in laws]).reshape(len(laws), model.nv),
+        law_rows,
+        law_rows @ inverse,
         np.array([e.offset for e in laws], dtype=float),
         np.array([e.address for e in laws], dtype=np.int64),
         np.cumsum([0, *lengths])[: len(laws)].astype(np.int64),
         np.concatenate([e.constants for e in laws]) if laws else np.zeros(1),
+        np.concatenate(limits) if laws else np.zeros(1),
+        partners,
+        np.array(edges, dtype=float).reshape(len(laws), 2),
     )
+
+
+def _with_dry_laws(
+    friction: tuple[np.ndarray, np.ndarray], law_rows: np.ndarray, dry: list[int]
+) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """Find the friction loss along each dry law's coordinate; add one of no force where none is."""
+    rows, numbers = friction
+    partners = np.full(len(law_rows), -1)
+    for k in dry:
+        same = np.flatnonzero(np.all(rows == law_rows[k], axis=1))
+        if not len(same):
+            rows, numbers = np.vstack([rows, law_rows[k]]), np.vstack([numbers, [0.0, 1.0, 0.0]])
+            same = np.array([len(rows) - 1])
+        partners[k] = same[0]
+    return (rows, numbers), partners
+
+
+Elements = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Rows, accelerations per unit of force, and numbers of some elements."""
+
+
+def _bent(rows: np.ndarray, inverse: np.ndarray, numbers: np.ndarray, kept: np.ndarray) -> Elements:
+    return rows[kept], rows[kept] @ inverse, numbers[kept]
+
+
+def _bent_springs(
+    linear: np.ndarray, inverse: np.ndarray, rows: np.ndarray, numbers: np.ndarray
+) -> Elements:
+    """Put the springs that are linear into the linear part and return the others."""
+    straight = ~np.any(numbers[:, 2:4], axis=1) & (numbers[:, 4] == numbers[:, 5])
+    nv = len(inverse)
+    for row, (offset, k, _, _, rest, _) in zip(rows[straight], numbers[straight], strict=True):
+        linear[:nv, 0] += inverse @ row * k * (offset + rest)
+        linear[:nv, 1 : 1 + nv] -= np.outer(inverse @ row, k * row)
+    return _bent(rows, inverse, numbers, ~straight)
+
+
+def _bent_dampers(
+    linear: np.ndarray, inverse: np.ndarray, rows: np.ndarray, numbers: np.ndarray
+) -> Elements:
+    """Put the dampers that are linear into the linear part and return the others."""
+    straight = ~np.any(numbers[:, 1:], axis=1)
+    nv = len(inverse)
+    for row, (d, _, _) in zip(rows[straight], numbers[straight], strict=True):
+        linear[:nv, 1 + nv : 1 + 2 * nv] -= np.outer(inverse @ row, d * row)
+    return _bent(rows, inverse, numbers, ~straight)
+
+
+def _bent_actuators(
+    linear: np.ndarray,
+    inverse: np.ndarray,
+    model: mujoco.MjModel,
+    rows: np.ndarray,
+    numbers: np.ndarray,
+) -> Elements:
+    """Put activations, and actuators of constant gain, into the linear part; return the others."""
+    nv, na = model.nv, model.na
+    straight = ~np.any(numbers[:, [1, 2, 6]], axis=1) & ~np.isfinite(numbers[:, 9:11]).any(axis=1)
+    for row, a, simple in zip(rows, numbers, straight, strict=True):
+        pull = inverse @ row
+        act, ctrl = int(a[11]), int(a[12])
+        command = 1 + 2 * nv + (act if act >= 0 else na + ctrl)
+        if act >= 0 and ctrl >= 0:
+            linear[nv + act, 1 + 2 * nv + na + ctrl] = 1.0 / a[13] if a[13] > 0.0 else 1.0
+        if act >= 0 and a[13] > 0.0:
+            linear[nv + act, 1 + 2 * nv + act] = -1.0 / a[13]
+        if not simple:
+            continue
+        linear[:nv, 0] += pull * a[3]
+        linear[:nv, 1 : 1 + nv] += np.outer(pull, a[4] * row)
+        linear[:nv, 1 + nv : 1 + 2 * nv] += np.outer(pull, a[5] * row)
+        if act >= 0 or ctrl >= 0:
+            linear[:nv, command] += pull * a[0]
+    return _bent(rows, inverse, numbers, ~straight)
+
+
+def _input_limits(model: mujoco.MjModel) -> np.ndarray:
+    limits = np.tile([-np.inf, np.inf], (model.nu, 1))
+    for i in range(model.nactuator):
+        if model.actuator_ctrlnum[i] and model.actuator_ctrllimited[i]:
+            limits[model.actuator_ctrladr[i]] = model.actuator_ctrlrange[i]
+    return limits
 
 
 def _supported(model: mujoco.MjModel) -> bool:
@@ -167,7 +263,11 @@ def _actuators(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray] | None:
             or model.actuator_actearly[i]
         ):
             return None
-        a = np.zeros(16)
+        a = np.zeros(14)
+        a[9:11] = (
+            model.actuator_forcerange[i] if model.actuator_forcelimited[i] else (-np.inf, np.inf)
+        )
+        a[11:13] = -1.0
         if passive:
             a[6:9] = model.actuator_biasprm[i, :3]
         else:
@@ -177,20 +277,12 @@ def _actuators(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray] | None:
             )
             if model.actuator_biastype[i] == int(bias.mjBIAS_AFFINE):
                 a[3:6] = model.actuator_biasprm[i, :3]
-        a[9:11] = (
-            model.actuator_forcerange[i] if model.actuator_forcelimited[i] else (-np.inf, np.inf)
-        )
-        a[11:13] = (-np.inf, np.inf)
-        a[14:16] = -1.0
-        if not passive:
-            if model.actuator_ctrllimited[i]:
-                a[11:13] = model.actuator_ctrlrange[i]
+            a[11] = model.actuator_actadr[i] if kind != int(dyn.mjDYN_NONE) else -1.0
+            a[12] = model.actuator_ctrladr[i] if model.actuator_ctrlnum[i] else -1.0
             a[13] = model.actuator_dynprm[i, 0] if kind == int(dyn.mjDYN_FILTER) else 0.0
-            a[14] = model.actuator_actadr[i] if kind != int(dyn.mjDYN_NONE) else -1.0
-            a[15] = model.actuator_ctrladr[i] if model.actuator_ctrlnum[i] else -1.0
         rows.append(row)
         numbers.append(a)
-    return np.array(rows).reshape(-1, model.nv), np.array(numbers).reshape(-1, 16)
+    return np.array(rows).reshape(-1, model.nv), np.array(numbers).reshape(-1, 14)
 
 
 def _actuator_row(model: mujoco.MjModel, i: int) -> np.ndarray | None:
@@ -267,14 +359,22 @@ def agrees(
         mujoco.mj_forward(model, data)
         if data.ncon or np.any(data.efc_type[: data.nefc] > FRICTION_TENDON):
             return False
-        rate = np.zeros(2 * nv + na)
-        accelerate(network, np.concatenate([q, v, act]), u[None], 0, 0.0, rate)
-        worst = max(worst, float(np.abs(rate[nv : 2 * nv] - data.qacc).max()))
+        rate = rate_of(network, np.concatenate([q, v, act]), u)
+        worst = max(worst, float(np.abs(rate[:nv] - data.qacc).max()))
         largest = max(largest, float(np.abs(data.qacc).max()))
         if na:
-            worst = max(worst, float(np.abs(rate[2 * nv :] - data.act_dot).max()))
+            worst = max(worst, float(np.abs(rate[nv:] - data.act_dot).max()))
             largest = max(largest, float(np.abs(data.act_dot).max()))
     return worst <= 1e-9 * largest
+
+
+def rate_of(network: Network, state: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Return d(v, act)/dt (nv + na,) of a network at a state (n,) and an input (nu,), at time 0."""
+    rates = np.empty((1, 1, len(network.linear)))
+    states = np.empty((1, 1, len(state)))
+    start = np.zeros(1, dtype=np.int64)
+    integrate(network, False, state[None], np.atleast_2d(u), start, 1, 1, 1e-6, states, rates)
+    return np.asarray(rates[0, 0])
 
 
 def _joint_ranges(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:

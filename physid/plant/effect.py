@@ -51,12 +51,18 @@ class Element:
         Subtracted from row . qpos [m or rad].
     constants : ndarray (k,)
         The law's constants.
+    limit : ndarray (k,), optional
+        For dry friction: the constants without the smoothing that a sign needs inside an engine.
+    edges : (float, float)
+        The coordinates at which the law jumps, where it does.
     """
 
     address: int
     row: np.ndarray
     offset: float
     constants: np.ndarray
+    limit: np.ndarray | None = None
+    edges: tuple[float, float] = (-np.inf, np.inf)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

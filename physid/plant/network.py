@@ -1,11 +1,12 @@
-"""The compiled back end: rigs with a constant mass matrix as a network of scalar elements.
+"""The compiled back end: rigs with a constant mass matrix as a linear system plus scalar elements.
 
-    M qdd = sum of springs, dampers, actuators, gravity, run-time laws and Coulomb friction
+    d(v, act)/dt = L (1, q, v, act, u) + sum over elements e of  M^-1 w_e' f_e(w_e q, w_e v, t)
 
-Each element acts along a fixed row of joint coordinates, so one evaluation costs tens of
-nanoseconds.  Nothing is restated here but the engine's own element formulas (polynomial springs and
-dampers, dead-band tendons, affine actuators, and its friction-loss constraint, solved exactly as a
-box-bounded quadratic problem).  :mod:`physid.plant.assembly` reads a network from a compiled model.
+Whatever is linear stands in one matrix, so a rig without any other element is integrated by one small
+matrix product per step, and each further element costs some nanoseconds.  Nothing is restated here
+but the engine's own element formulas (polynomial springs and dampers, dead-band tendons, affine
+actuators, and its friction-loss constraint, solved exactly as a box-bounded quadratic problem).
+:mod:`physid.plant.assembly` reads a network from a compiled model.
 
 Source of the element formulas: MuJoCo documentation, chapters Modeling and Computation.
 """
@@ -22,216 +23,102 @@ from physid.plant.law import call_law, pointer_at
 
 
 class Network(NamedTuple):
-    """A constant-mass plant as plain arrays (rows are over the nv joint coordinates).
+    """A constant-mass plant as plain arrays.
 
-    ``springs``: offset, k1, k2, k3, low, high.  ``dampers``: d1, d2, d3.  ``gravity``
-    (nv, 1 + 2 nv): constant, sine and cosine parts per joint angle; ``swings`` lists the joints
-    that have any.  ``actuators``: gain 3, bias 3, cogging 3, force low and high, ctrl low and high,
-    time constant (0: none), activation and ctrl number.  ``friction``: force, R, B of the engine's
-    constraint; ``diagonals`` of J M^-1 J'.  ``laws``: address, offset, constants' start.
+    The state is x = (q, v, act), (n,) = 2 nv + na.  ``*_rows`` (e, nv) give an element's coordinate,
+    ``*_pulls`` (e, nv) the acceleration per unit of its force, M^-1 w'.
+
+    ``linear`` (nv + na, 1 + n + nu): see the module.  ``limits`` (nu, 2): of the inputs.
+    ``swings``: joints in whose angle gravity turns; ``sines``, ``cosines`` (nv, nv): acceleration per
+    sine and cosine of each.  ``springs``: offset, k1, k2, k3, low, high.  ``dampers``: d1, d2, d3.
+    ``actuators``: gain 3, bias 3, cogging 3, force low and high, activation and ctrl number (-1:
+    none).  ``friction``: force, R, B of the engine's constraint; ``diagonals`` of J M^-1 J'.
+    ``laws``: address, offset, constants' start, their limit without smoothing (``law_limits``), the
+    friction element whose sign they share (-1: none), and the edges at which they jump.
     """
 
-    inverse_mass: np.ndarray
+    linear: np.ndarray
+    limits: np.ndarray
+    swings: np.ndarray
+    sines: np.ndarray
+    cosines: np.ndarray
     spring_rows: np.ndarray
+    spring_pulls: np.ndarray
     springs: np.ndarray
     damper_rows: np.ndarray
+    damper_pulls: np.ndarray
     dampers: np.ndarray
-    gravity: np.ndarray
-    swings: np.ndarray
     actuator_rows: np.ndarray
+    actuator_pulls: np.ndarray
     actuators: np.ndarray
     friction_rows: np.ndarray
+    friction_pulls: np.ndarray
     friction: np.ndarray
     diagonals: np.ndarray
     law_rows: np.ndarray
+    law_pulls: np.ndarray
     law_offsets: np.ndarray
     law_addresses: np.ndarray
     law_starts: np.ndarray
     law_constants: np.ndarray
+    law_limits: np.ndarray
+    law_frictions: np.ndarray
+    law_edges: np.ndarray
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _accelerate(  # type: ignore[no-untyped-def]  # noqa: C901 - hot
-    inverse_mass,
-    spring_rows,
-    springs,
-    damper_rows,
-    dampers,
-    gravity,
-    swings,
-    actuator_rows,
-    actuators,
-    friction_rows,
-    friction,
-    diagonals,
-    law_rows,
-    law_offsets,
-    law_addresses,
-    law_starts,
-    law_constants,
-    x,
-    controls,
-    row,
-    t,
-    rate,
-    force,
-    friction_force,
-):
-    """Write d(state)/dt of a network into ``rate``; one function without views: it is hot."""
-    nv = inverse_mass.shape[0]
+def _one_step_map(linear, nv, n, h):  # type: ignore[no-untyped-def]
+    """Return P (n, n), Q (n, nv + na): the Runge-Kutta step x+ = P x + Q b of x' = A x + (0, b).
+
+    P = I + hA S, Q = h S, S = I + hA/2 (I + hA/3 (I + hA/4)): the classical method, term for term.
+    """
+    scaled = np.zeros((n, n))
     for i in range(nv):
-        force[i] = gravity[i, 0]
-    for s in range(swings.size):
-        j = swings[s]
-        sine, cosine = math.sin(x[j]), math.cos(x[j])
-        for i in range(nv):
-            force[i] += gravity[i, 1 + j] * sine + gravity[i, 1 + nv + j] * cosine
-    for e in range(springs.shape[0]):
-        z = -springs[e, 0]
-        for j in range(nv):
-            z += spring_rows[e, j] * x[j]
-        if z > springs[e, 5]:
-            z -= springs[e, 5]
-        elif z < springs[e, 4]:
-            z -= springs[e, 4]
-        else:
-            z = 0.0
-        f = -z * (springs[e, 1] + z * (springs[e, 2] + z * springs[e, 3]))
-        for j in range(nv):
-            force[j] += spring_rows[e, j] * f
-    for e in range(dampers.shape[0]):
-        z = 0.0
-        for j in range(nv):
-            z += damper_rows[e, j] * x[nv + j]
-        f = -z * (dampers[e, 0] + abs(z) * (dampers[e, 1] + abs(z) * dampers[e, 2]))
-        for j in range(nv):
-            force[j] += damper_rows[e, j] * f
-    for e in range(actuators.shape[0]):
-        length = 0.0
-        speed = 0.0
-        for j in range(nv):
-            length += actuator_rows[e, j] * x[j]
-            speed += actuator_rows[e, j] * x[nv + j]
-        command = 0.0
-        if actuators[e, 15] >= 0:
-            command = controls[row, int(actuators[e, 15])]
-            command = min(max(command, actuators[e, 11]), actuators[e, 12])
-        if actuators[e, 14] >= 0:
-            k = 2 * nv + int(actuators[e, 14])
-            rate[k] = (command - x[k]) / actuators[e, 13] if actuators[e, 13] > 0.0 else command
-            command = x[k]
-        f = (actuators[e, 0] + actuators[e, 1] * length + actuators[e, 2] * speed) * command
-        f += actuators[e, 3] + actuators[e, 4] * length + actuators[e, 5] * speed
-        if actuators[e, 6] != 0.0:
-            f += actuators[e, 6] * math.sin(actuators[e, 7] * length + actuators[e, 8])
-        f = min(max(f, actuators[e, 9]), actuators[e, 10])
-        for j in range(nv):
-            force[j] += actuator_rows[e, j] * f
-    for e in range(law_addresses.size):
-        z = -law_offsets[e]
-        speed = 0.0
-        for j in range(nv):
-            z += law_rows[e, j] * x[j]
-            speed += law_rows[e, j] * x[nv + j]
-        constants = pointer_at(law_constants.ctypes.data + 8 * law_starts[e])
-        f = call_law(law_addresses[e], z, speed, t, constants)
-        for j in range(nv):
-            force[j] += law_rows[e, j] * f
-    for i in range(nv):
-        total = 0.0
-        for j in range(nv):
-            total += inverse_mass[i, j] * force[j]
-        rate[i] = x[nv + i]
-        rate[nv + i] = total
-    _add_friction(inverse_mass, friction_rows, friction, diagonals, x, rate, friction_force)
+        scaled[i, nv + i] = h
+    for r in range(n - nv):
+        for j in range(n):
+            scaled[nv + r, j] = h * linear[r, 1 + j]
+    total = np.eye(n)
+    for order in (4.0, 3.0, 2.0, 1.0):
+        product = np.zeros((n, n))
+        for i in range(n):
+            for k in range(n):
+                factor = scaled[i, k] / order
+                if factor != 0.0:
+                    for j in range(n):
+                        product[i, j] += factor * total[k, j]
+        if order == 1.0:
+            drive = h * total
+        total = np.eye(n) + product
+    return total, np.ascontiguousarray(drive[:, nv:])
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _add_friction(inverse_mass, friction_rows, friction, diagonals, x, rate, friction_force):  # type: ignore[no-untyped-def]
-    """Solve min 1/2 f'(A + R) f + f'(a0 + B v), |f_i| <= F_i by Gauss-Seidel, in place."""
-    nv = inverse_mass.shape[0]
-    rows = friction.shape[0]
-    for e in range(rows):
-        for j in range(nv):
-            for k in range(nv):
-                rate[nv + j] += inverse_mass[j, k] * friction_rows[e, k] * friction_force[e]
-    for _sweep in range(200 if rows else 0):
-        largest = 0.0
-        for e in range(rows):
-            gradient = friction[e, 1] * friction_force[e]
-            for j in range(nv):
-                gradient += friction_rows[e, j] * (rate[nv + j] + friction[e, 2] * x[nv + j])
-            new = friction_force[e] - gradient / (diagonals[e] + friction[e, 1])
-            new = min(max(new, -friction[e, 0]), friction[e, 0])
-            change = new - friction_force[e]
-            friction_force[e] = new
-            for j in range(nv):
-                for k in range(nv):
-                    rate[nv + j] += inverse_mass[j, k] * friction_rows[e, k] * change
-            largest = max(largest, abs(change) / (friction[e, 0] + 1e-300))
-        if rows == 1 or largest < 1e-13:
-            break
+MOST_EVENTS = 24
+"""Instants at which something comes to rest or to an edge, located within one step at most."""
+REST = 1e-9
+"""Speed [m/s or rad/s] at which the friction of an element at rest is read from its law."""
+EDGE = 1e-12
+"""How far from an edge a law is evaluated at least, as a share of the distance between its edges."""
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def accelerate(net, x, controls, row, t, rate):  # type: ignore[no-untyped-def]
-    """Write d(state)/dt (2 nv + na,) of a network at a state ``x`` into ``rate``."""
-    (
-        inverse_mass,
-        spring_rows,
-        springs,
-        damper_rows,
-        dampers,
-        gravity,
-        swings,
-        actuator_rows,
-        actuators,
-        friction_rows,
-        friction,
-        diagonals,
-        law_rows,
-        law_offsets,
-        law_addresses,
-        law_starts,
-        law_constants,
-    ) = net
-    _accelerate(
-        inverse_mass,
-        spring_rows,
-        springs,
-        damper_rows,
-        dampers,
-        gravity,
-        swings,
-        actuator_rows,
-        actuators,
-        friction_rows,
-        friction,
-        diagonals,
-        law_rows,
-        law_offsets,
-        law_addresses,
-        law_starts,
-        law_constants,
-        x,
-        controls,
-        row,
-        t,
-        rate,
-        np.zeros(inverse_mass.shape[0]),
-        np.zeros(friction.shape[0]),
-    )
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per record
-    net, initial, controls, starts, samples, substeps, h, states, accelerations
+def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per record, and hot
+    net, exact, initial, controls, starts, samples, substeps, h, states, rates
 ):
     """Integrate windows with the classical fourth-order Runge-Kutta method.
 
+    Friction loss is either the engine's constraint, evaluated at every stage as the engine does, or
+    Coulomb's law itself, to which the constraint tends with the step: elements slide or stick, and a
+    step in which one comes to rest is cut there (located by the Illinois variant of regula falsi:
+    Dowell, Jarratt, BIT 11, 1971).  The constraint switches about a step too early, which biases
+    inertias and stiffnesses in first order of the step; the law itself keeps the method's order, and
+    its result is a smooth function of the parameters.
+
     Parameters
     ----------
-    initial : (w, 2 nv + na)
+    exact : bool
+        Coulomb's law itself rather than the engine's constraint.
+    initial : (w, n)
         State at the start of each window.
     controls : (steps, nu)
         Input of every substep of the record, held over the substep as the engine does.
@@ -241,40 +128,80 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
         Samples per window; steps per sample.
     h : float
         Step [s].
-    states : (w, samples, 2 nv + na), accelerations : (w, samples, nv)
+    states : (w, samples, n)
         Written; the rest of a window that diverges is NaN.
+    rates : (w, samples, nv + na) or (0, 0, 0)
+        Accelerations and activations' rates at the samples, written if there is room.
     """
     (
-        inverse_mass,
+        linear,
+        limits,
+        swings,
+        sines,
+        cosines,
         spring_rows,
+        spring_pulls,
         springs,
         damper_rows,
+        damper_pulls,
         dampers,
-        gravity,
-        swings,
         actuator_rows,
+        actuator_pulls,
         actuators,
         friction_rows,
+        friction_pulls,
         friction,
         diagonals,
         law_rows,
+        law_pulls,
         law_offsets,
         law_addresses,
         law_starts,
         law_constants,
+        law_limits,
+        law_frictions,
+        law_edges,
     ) = net
-    nv = inverse_mass.shape[0]
+    nv = sines.shape[0]
     n = initial.shape[1]
-    force = np.zeros(nv)
+    m = n - nv
+    nu = limits.shape[0]
+    rubs = friction.shape[0]
+    others = swings.size + springs.shape[0] + dampers.shape[0] + actuators.shape[0]
+    laws = law_addresses.size
+    plain = others + laws == 0 and (exact or not rubs)
+    wanted = rates.shape[0] > 0
+    if plain:
+        onward, drive = _one_step_map(linear, nv, n, h)
+    else:
+        onward, drive = np.zeros((0, 0)), np.zeros((0, 0))
+    u = np.zeros(nu)
+    driven = np.zeros(m)
+    pushed = np.zeros(m)
     rate = np.zeros(n)
     total = np.zeros(n)
     stage = np.zeros(n)
     x = np.zeros(n)
-    friction_force = np.zeros(friction.shape[0])
+    after = np.zeros(n)
+    rub = np.zeros(rubs)
+    slides = np.zeros(rubs)
+    slipped = np.zeros(rubs)
+    bound = np.zeros(rubs)
+    sides = np.zeros(laws)
     for w in range(initial.shape[0]):
         for i in range(n):
             x[i] = initial[w, i]
-        friction_force[:] = 0.0
+        rub[:] = 0.0
+        for e in range(rubs):
+            v = 0.0
+            for j in range(nv):
+                v += friction_rows[e, j] * x[nv + j]
+            slides[e] = np.sign(v)
+        for e in range(laws):
+            z = -law_offsets[e]
+            for j in range(nv):
+                z += law_rows[e, j] * x[j]
+            sides[e] = 1.0 if z > law_edges[e, 1] else (-1.0 if z < law_edges[e, 0] else 0.0)
         for k in range(samples):
             step = (starts[w] + k) * substeps
             wild = False
@@ -283,46 +210,285 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
                 wild = wild or not abs(x[i]) < 1e9
             if wild:
                 states[w, k:] = np.nan
-                accelerations[w, k:] = np.nan
+                if wanted:
+                    rates[w, k:] = np.nan
                 break
             for s in range(substeps):
                 row = min(step + s, controls.shape[0] - 1)
+                for j in range(nu):
+                    u[j] = min(max(controls[row, j], limits[j, 0]), limits[j, 1])
+                for r in range(m):
+                    driven[r] = linear[r, 0]
+                    for j in range(nu):
+                        driven[r] += linear[r, 1 + n + j] * u[j]
                 t = (step + s) * h
-                for r in range(4):
-                    c = 0.0 if r == 0 else (h if r == 3 else 0.5 * h)
+                left = h
+                dt = h
+                events = 0
+                # An element coming to rest, or a law (numbered on) reaching an edge, is located in
+                # (low, high): where sign * (speed or coordinate - edge) falls through zero.
+                cut = -1
+                low, high, v_low, v_high = 0.0, 0.0, 0.0, 0.0
+                sign, edge, beyond = 0.0, 0.0, 0.0
+                side, tries = 0, 0
+                while True:
+                    rests = False
+                    for i in range(m):
+                        pushed[i] = driven[i]
+                    if exact:
+                        for e in range(rubs):
+                            slipped[e] = 0.0
+                            if slides[e] == 0.0:
+                                rests = True
+                            else:
+                                for i in range(nv):
+                                    pushed[i] -= friction_pulls[e, i] * friction[e, 0] * slides[e]
+                    if plain and not rests and dt == h and not (wanted and s == 0):
+                        for i in range(n):
+                            value = 0.0
+                            for j in range(n):
+                                value += onward[i, j] * x[j]
+                            for j in range(m):
+                                value += drive[i, j] * pushed[j]
+                            after[i] = value
+                    else:
+                        for r in range(4):
+                            c = 0.0 if r == 0 else (dt if r == 3 else 0.5 * dt)
+                            if r:
+                                for i in range(n):
+                                    stage[i] = x[i] + c * rate[i]
+                            else:
+                                for i in range(n):
+                                    stage[i] = x[i]
+                            for i in range(nv):
+                                rate[i] = stage[nv + i]
+                            for i in range(m):
+                                value = pushed[i]
+                                for j in range(n):
+                                    value += linear[i, 1 + j] * stage[j]
+                                rate[nv + i] = value
+                            for e in range(swings.size):
+                                j = swings[e]
+                                sine, cosine = math.sin(stage[j]), math.cos(stage[j])
+                                for i in range(nv):
+                                    rate[nv + i] += sines[i, j] * sine + cosines[i, j] * cosine
+                            for e in range(springs.shape[0]):
+                                z = -springs[e, 0]
+                                for j in range(nv):
+                                    z += spring_rows[e, j] * stage[j]
+                                if z > springs[e, 5]:
+                                    z -= springs[e, 5]
+                                elif z < springs[e, 4]:
+                                    z -= springs[e, 4]
+                                else:
+                                    z = 0.0
+                                f = -z * (springs[e, 1] + z * (springs[e, 2] + z * springs[e, 3]))
+                                for i in range(nv):
+                                    rate[nv + i] += spring_pulls[e, i] * f
+                            for e in range(dampers.shape[0]):
+                                v = 0.0
+                                for j in range(nv):
+                                    v += damper_rows[e, j] * stage[nv + j]
+                                a = abs(v)
+                                f = -v * (dampers[e, 0] + a * (dampers[e, 1] + a * dampers[e, 2]))
+                                for i in range(nv):
+                                    rate[nv + i] += damper_pulls[e, i] * f
+                            for e in range(actuators.shape[0]):
+                                z = 0.0
+                                v = 0.0
+                                for j in range(nv):
+                                    z += actuator_rows[e, j] * stage[j]
+                                    v += actuator_rows[e, j] * stage[nv + j]
+                                command = 0.0
+                                if actuators[e, 11] >= 0:
+                                    command = stage[2 * nv + int(actuators[e, 11])]
+                                elif actuators[e, 12] >= 0:
+                                    command = u[int(actuators[e, 12])]
+                                f = actuators[e, 1] * z + actuators[e, 2] * v
+                                f = (actuators[e, 0] + f) * command
+                                f += actuators[e, 3] + actuators[e, 4] * z + actuators[e, 5] * v
+                                if actuators[e, 6] != 0.0:
+                                    angle = actuators[e, 7] * z + actuators[e, 8]
+                                    f += actuators[e, 6] * math.sin(angle)
+                                f = min(max(f, actuators[e, 9]), actuators[e, 10])
+                                for i in range(nv):
+                                    rate[nv + i] += actuator_pulls[e, i] * f
+                            for e in range(rubs):
+                                bound[e] = friction[e, 0]
+                            for e in range(laws):
+                                z = -law_offsets[e]
+                                v = 0.0
+                                for j in range(nv):
+                                    z += law_rows[e, j] * stage[j]
+                                    v += law_rows[e, j] * stage[nv + j]
+                                base = law_constants.ctypes.data
+                                rubbed = law_frictions[e]
+                                if exact:
+                                    base = law_limits.ctypes.data
+                                    if rubbed >= 0:
+                                        v = abs(v) if abs(v) > REST else REST
+                                        v = -v if slides[rubbed] < 0.0 else v
+                                    inset = EDGE * (law_edges[e, 1] - law_edges[e, 0])
+                                    if sides[e] > 0.0:
+                                        z = max(z, law_edges[e, 1] + inset)
+                                    elif sides[e] < 0.0:
+                                        z = min(z, law_edges[e, 0] - inset)
+                                    elif inset < np.inf:
+                                        z = max(z, law_edges[e, 0] + inset)
+                                        z = min(z, law_edges[e, 1] - inset)
+                                constants = pointer_at(base + 8 * law_starts[e])
+                                f = call_law(law_addresses[e], z, v, t + c, constants)
+                                if exact and rubbed >= 0 and slides[rubbed] == 0.0:
+                                    bound[rubbed] += abs(f)
+                                    continue
+                                for i in range(nv):
+                                    rate[nv + i] += law_pulls[e, i] * f
+                            # min 1/2 f'(A + R) f + f'(a0 + B v), |f| <= F, by Gauss-Seidel: over all
+                            # elements as the engine does, or R = B = 0 over those that stick.
+                            if rests or (rubs and not exact):
+                                for e in range(rubs):
+                                    if rubs == 1 or (exact and slides[e] != 0.0):
+                                        rub[e] = 0.0
+                                    for i in range(nv):
+                                        rate[nv + i] += friction_pulls[e, i] * rub[e]
+                                for _sweep in range(200):
+                                    largest = 0.0
+                                    for e in range(rubs):
+                                        if exact and slides[e] != 0.0:
+                                            continue
+                                        soft = 0.0 if exact else friction[e, 1]
+                                        back = 0.0 if exact else friction[e, 2]
+                                        gradient = soft * rub[e]
+                                        for j in range(nv):
+                                            gradient += friction_rows[e, j] * (
+                                                rate[nv + j] + back * stage[nv + j]
+                                            )
+                                        new = rub[e] - gradient / (diagonals[e] + soft)
+                                        new = min(max(new, -bound[e]), bound[e])
+                                        change = new - rub[e]
+                                        rub[e] = new
+                                        for i in range(nv):
+                                            rate[nv + i] += friction_pulls[e, i] * change
+                                        largest = max(largest, abs(change) / (bound[e] + 1e-300))
+                                    if rubs == 1 or largest < 1e-13:
+                                        break
+                                for e in range(rubs):
+                                    if abs(rub[e]) >= bound[e]:
+                                        slipped[e] = 1.0
+                            if r == 0 and left == h and s == 0 and wanted and cut < 0:
+                                for i in range(m):
+                                    rates[w, k, i] = rate[nv + i]
+                            weight = 1.0 if r == 0 or r == 3 else 2.0
+                            for i in range(n):
+                                total[i] = (total[i] if r else 0.0) + weight * rate[i]
+                        for i in range(n):
+                            after[i] = x[i] + dt / 6.0 * total[i]
+                    if not exact or rubs + laws == 0:
+                        break
+                    if cut < 0 and events < MOST_EVENTS:
+                        # Does something come to rest, or to an edge, within the step; what first?
+                        first = 2.0
+                        for e in range(rubs):
+                            if slides[e] == 0.0:
+                                continue
+                            v = 0.0
+                            was = 0.0
+                            for j in range(nv):
+                                v += friction_rows[e, j] * after[nv + j]
+                                was += friction_rows[e, j] * x[nv + j]
+                            if v * slides[e] >= 0.0:
+                                continue
+                            if was * slides[e] <= 0.0:
+                                slides[e] = 0.0
+                                rub[e] = 0.0
+                                continue
+                            share = was / (was - v)
+                            if share < first:
+                                first, cut, sign = share, e, slides[e]
+                                v_low, v_high = sign * was, sign * v
+                        for e in range(laws):
+                            if not law_edges[e, 1] < np.inf:
+                                continue
+                            z = -law_offsets[e]
+                            was = z
+                            for j in range(nv):
+                                z += law_rows[e, j] * after[j]
+                                was += law_rows[e, j] * x[j]
+                            target = sides[e]
+                            border = 0.0
+                            if sides[e] == 0.0 and z > law_edges[e, 1]:
+                                target, border = 1.0, law_edges[e, 1]
+                            elif sides[e] == 0.0 and z < law_edges[e, 0]:
+                                target, border = -1.0, law_edges[e, 0]
+                            elif sides[e] > 0.0 and z < law_edges[e, 1]:
+                                target, border = 0.0, law_edges[e, 1]
+                            elif sides[e] < 0.0 and z > law_edges[e, 0]:
+                                target, border = 0.0, law_edges[e, 0]
+                            if target == sides[e]:
+                                continue
+                            direction = 1.0 if target < sides[e] else -1.0
+                            before, now = direction * (was - border), direction * (z - border)
+                            if before <= 0.0:
+                                sides[e] = target
+                                continue
+                            share = before / (before - now)
+                            if share < first:
+                                first, cut, sign, edge, beyond = (
+                                    share,
+                                    rubs + e,
+                                    direction,
+                                    border,
+                                    target,
+                                )
+                                v_low, v_high = before, now
+                        if cut >= 0:
+                            low, high, side, tries = 0.0, dt, 0, 0
+                            dt = first * dt
+                            continue
+                    elif cut >= 0:
+                        v = 0.0
+                        if cut < rubs:
+                            for j in range(nv):
+                                v += friction_rows[cut, j] * after[nv + j]
+                        else:
+                            v = -law_offsets[cut - rubs] - edge
+                            for j in range(nv):
+                                v += law_rows[cut - rubs, j] * after[j]
+                        v *= sign
+                        tries += 1
+                        if abs(v) > 1e-13 * (abs(v_low) + abs(v_high)) and tries < 60:
+                            if v > 0.0:
+                                low, v_low = dt, v
+                                v_high *= 0.5 if side == 1 else 1.0
+                                side = 1
+                            else:
+                                high, v_high = dt, v
+                                v_low *= 0.5 if side == -1 else 1.0
+                                side = -1
+                            between = low + (high - low) * v_low / (v_low - v_high)
+                            if high - low > 1e-13 * h and between > low and between < high:
+                                dt = between
+                                continue
+                    for e in range(rubs):
+                        if slides[e] == 0.0 and slipped[e] > 0.0:
+                            v = 0.0
+                            for j in range(nv):
+                                v += friction_rows[e, j] * after[nv + j]
+                            slides[e] = np.sign(v)
+                    if cut >= 0:
+                        if cut < rubs:
+                            slides[cut] = 0.0
+                            rub[cut] = 0.0
+                        else:
+                            sides[cut - rubs] = beyond
+                        cut = -1
+                        events += 1
+                    left -= dt
+                    if left <= 1e-9 * h:
+                        break
                     for i in range(n):
-                        stage[i] = x[i] + c * rate[i] if r else x[i]
-                    _accelerate(
-                        inverse_mass,
-                        spring_rows,
-                        springs,
-                        damper_rows,
-                        dampers,
-                        gravity,
-                        swings,
-                        actuator_rows,
-                        actuators,
-                        friction_rows,
-                        friction,
-                        diagonals,
-                        law_rows,
-                        law_offsets,
-                        law_addresses,
-                        law_starts,
-                        law_constants,
-                        stage,
-                        controls,
-                        row,
-                        t + c,
-                        rate,
-                        force,
-                        friction_force,
-                    )
-                    if r == 0 and s == 0:
-                        for i in range(nv):
-                            accelerations[w, k, i] = rate[nv + i]
-                    weight = 1.0 if r == 0 or r == 3 else 2.0
-                    for i in range(n):
-                        total[i] = (total[i] if r else 0.0) + weight * rate[i]
+                        x[i] = after[i]
+                    t += dt
+                    dt = left
                 for i in range(n):
-                    x[i] += h / 6.0 * total[i]
+                    x[i] = after[i]

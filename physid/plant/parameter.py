@@ -93,7 +93,7 @@ def sharpen_friction(element: Any) -> None:
     MuJoCo's defaults smear Coulomb friction over a viscous band of about 20 mm/s, which a fit would
     confuse with damping; the engine raises a time constant below two steps to two steps.
     """
-    element.solref_friction[:] = (0.0005, 1.0)
+    element.solref_friction[:] = (2e-5, 1.0)
     element.solimp_friction[:3] = (0.999, 0.9999, 0.001)
 
 

@@ -75,6 +75,9 @@ class Simulator:
         Whether the network may be used.
     sensor_map : ndarray (channels, 1 + 3 nv) or None
         Outputs as constant, position, speed and acceleration parts; None if they are not linear.
+    exact : bool
+        Whether the network has Coulomb's law itself where the engine has a friction loss that tends
+        to it with the step; see :func:`physid.plant.network.integrate`.
     threads : int
         Columns simulated at a time.
     """
@@ -85,6 +88,7 @@ class Simulator:
     hold: Hold = "zero"
     compiled: bool = False
     sensor_map: np.ndarray | None = None
+    exact: bool = True
     threads: int = 1
 
     @property
@@ -95,6 +99,10 @@ class Simulator:
     def with_substeps(self, substeps: int) -> Simulator:
         """Return the simulator with another number of steps per sample."""
         return replace(self, substeps=substeps)
+
+    def as_engine(self) -> Simulator:
+        """Return the simulator with the engine's friction loss in both back ends."""
+        return replace(self, exact=False)
 
     def with_engine(self) -> Simulator:
         """Return the simulator with the engine as its only back end."""
@@ -162,11 +170,15 @@ class Simulator:
             return None
         nv = self.structure.nv
         states = [np.empty((len(starts), samples, x.shape[1])) for x in initial]
-        accelerations = [np.empty((len(starts), samples, nv)) for _ in initial]
+        assert self.sensor_map is not None
+        rated = np.any(self.sensor_map[:, 1 + 2 * nv :])
+        shape = (len(starts), samples) if rated else (0, 0)
+        rates = [np.empty((*shape, x.shape[1] - nv if rated else 0)) for x in initial]
 
         def one(k: int) -> None:
             integrate(
                 networks[k],
+                self.exact,
                 np.ascontiguousarray(initial[k]),
                 controls[k],
                 np.asarray(starts, dtype=np.int64),
@@ -174,7 +186,7 @@ class Simulator:
                 self.substeps,
                 self.step,
                 states[k],
-                accelerations[k],
+                rates[k],
             )
 
         if self.threads > 1 and len(plants) > 1:
@@ -185,15 +197,15 @@ class Simulator:
                 one(k)
         if any(_leaves_limits(plant.model, x) for plant, x in zip(plants, states, strict=True)):
             return None
-        return [Rollout(self._outputs(x, a), x) for x, a in zip(states, accelerations, strict=True)]
+        return [Rollout(self._outputs(x, a), x) for x, a in zip(states, rates, strict=True)]
 
-    def _outputs(self, states: np.ndarray, accelerations: np.ndarray) -> np.ndarray:
+    def _outputs(self, states: np.ndarray, rates: np.ndarray) -> np.ndarray:
         nv = self.structure.nv
         assert self.sensor_map is not None
         outputs = states[:, :, : 2 * nv] @ self.sensor_map[:, 1 : 1 + 2 * nv].T
         outputs += self.sensor_map[:, 0]
-        if np.any(self.sensor_map[:, 1 + 2 * nv :]):
-            outputs += accelerations @ self.sensor_map[:, 1 + 2 * nv :].T
+        if rates.size:
+            outputs += rates[:, :, :nv] @ self.sensor_map[:, 1 + 2 * nv :].T
         return np.asarray(outputs)
 
 

@@ -21,7 +21,7 @@ def motion(model, inputs, dt=1e-3, substeps=2, back_end="network"):
     """Return the joint positions and speeds (n, 4) from one start, activations at rest."""
     simulator = plain(model, dt, substeps)
     if back_end == "network":
-        simulator = make_simulator(model, dt, substeps, ranges(model))
+        simulator = make_simulator(model, dt, substeps, ranges(model)).as_engine()
         assert simulator.compiled
     na = model.compile(simulator.step).model.na
     return run(simulator, model, inputs, np.hstack([START, np.zeros((1, na))])).states[0, :, :4]

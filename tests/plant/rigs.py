@@ -128,7 +128,7 @@ def run(simulator, model, inputs, x0=None, samples=None, starts=(0,)):
 
 def twice(model, n=600, dt=1e-3, substeps=2, hold="zero", level=1.0, probe=None):
     """Simulate on both back ends; return their runs, and the simulator chosen."""
-    simulator = make_simulator(model, dt, substeps, probe or ranges(model), hold=hold)
+    simulator = make_simulator(model, dt, substeps, probe or ranges(model), hold=hold).as_engine()
     inputs = inputs_for(model, n, level=level)
     return run(simulator, model, inputs), run(simulator.with_engine(), model, inputs), simulator
 
