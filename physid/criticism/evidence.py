@@ -205,9 +205,9 @@ def _by_balance(inner: Problem, starts: Sequence[Start]) -> list[Start]:
     trial = with_candidate(inner, (placed,))
     width = float(widths(experiments)[1])
     try:
-        theta = balance(
-            trial.model, trial.parameters, experiments, width, hold=inner.windows[0].simulator.hold
-        ).theta
+        simulator = inner.windows[0].simulator
+        options = {"hold": simulator.hold, "compiled": simulator.compiled}
+        theta = balance(trial.model, trial.parameters, experiments, width, **options).theta
     except (np.linalg.LinAlgError, ValueError, ModelError):
         return []
     own = {p.name: v for p, v in zip(trial.parameters, theta, strict=True)}

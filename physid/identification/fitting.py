@@ -144,6 +144,7 @@ def closing_balance(fitted: Fitted) -> Balance | None:
             hold=problem.windows[0].simulator.hold,
             points=CLOSING_POINTS,
             theta=fitted.estimate.theta,
+            compiled=problem.windows[0].simulator.compiled,
         )
     except (np.linalg.LinAlgError, ValueError, NumericsError, ModelError):
         return None

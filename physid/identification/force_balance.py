@@ -20,6 +20,7 @@ from scipy.optimize import lsq_linear
 
 from physid.identification.experiment import Experiment, kinematics_of, period_of
 from physid.identification.output_error import parameter_steps
+from physid.plant.assembly import network_of, rates_of
 from physid.plant.callback import run_time_laws
 from physid.plant.model import Model, Plant
 from physid.plant.parameter import Parameter
@@ -116,11 +117,23 @@ def _centred_inputs(experiment: Experiment, plant: Plant, hold: Hold) -> np.ndar
     return np.asarray(0.5 * (u + np.vstack([u[:1], u[:-1]])))
 
 
-def missing_force(
-    plant: Plant, motion: Motion, data: mujoco.MjData
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the force each joint needs beyond what the model gives, and the actuators' (n, nv)."""
-    model = plant.model
+def missing_force(plant: Plant, motion: Motion, *, compiled: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return the force each joint needs beyond what the model gives, and the actuators' (n, nv).
+
+    Where the compiled back end may be used, the former is M (qdd - the model's acceleration), and
+    the latter is left out (zeros).
+    """
+    model, data = plant.model, mujoco.MjData(plant.model)
+    network = network_of(plant, data) if compiled else None
+    if network is not None:
+        mass = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, mass)
+        act = [_steady_activation(model, u) for u in motion.inputs] if model.na else []
+        states = np.hstack(
+            [motion.position, motion.speed, np.array(act).reshape(len(motion.time), model.na)]
+        )
+        lacking = motion.acceleration - rates_of(network, states, motion.inputs)[:, : model.nv]
+        return lacking @ mass, np.zeros_like(lacking)
     n = len(motion.time)
     needed, applied = np.empty((n, model.nv)), np.empty((n, model.nv))
     for i in range(n):
@@ -155,6 +168,7 @@ def balance(
     hold: Hold = "zero",
     points: int = POINTS,
     theta: np.ndarray | None = None,
+    compiled: bool = False,
 ) -> Balance:
     """Estimate parameters by weighted least squares on the force balance.
 
@@ -174,6 +188,8 @@ def balance(
         Instants used per record, at most.
     theta : ndarray (p,), optional
         Start.
+    compiled : bool
+        Whether probing found that the compiled back end may stand for the engine.
 
     Returns
     -------
@@ -184,11 +200,11 @@ def balance(
     start = model.compile(step)
     motions = [motion_of(model, e, start, width, hold, points) for e in experiments]
 
-    def residual(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def residual(values: np.ndarray, fast: bool = compiled) -> tuple[np.ndarray, np.ndarray]:
         named = {p.name: float(v) for p, v in zip(parameters, values, strict=True)}
         plant = model.with_values(named).compile(step)
         with run_time_laws([plant]):
-            parts = [missing_force(plant, m, mujoco.MjData(plant.model)) for m in motions]
+            parts = [missing_force(plant, m, compiled=fast) for m in motions]
         filtered = [
             [_low_pass(f, m, 3.0 * width) for f in part]
             for part, m in zip(parts, motions, strict=True)
@@ -199,7 +215,7 @@ def balance(
     for _ in range(2 if len(theta) else 0):
         base, _applied = residual(theta)
         theta, std = _solve(parameters, theta, base, residual)
-    left, applied = residual(theta)
+    left, applied = residual(theta, fast=False)
     size = np.sqrt(np.mean(applied**2, axis=0))
     if not size.any():
         size = _inertial_size(start, motions)

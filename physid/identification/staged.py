@@ -99,11 +99,12 @@ def _from_force_balance(problem: Problem) -> list[np.ndarray]:
     if not all(observable(problem.model, e) for e in experiments):
         return []
     found = []
-    hold = problem.windows[0].simulator.hold
+    simulator = problem.windows[0].simulator
+    options = {"hold": simulator.hold, "compiled": simulator.compiled}
     for width in widths(experiments):
         try:
             found.append(
-                balance(problem.model, problem.parameters, experiments, width, hold=hold).theta
+                balance(problem.model, problem.parameters, experiments, width, **options).theta
             )
         except (np.linalg.LinAlgError, ValueError, ModelError):
             continue

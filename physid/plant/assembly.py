@@ -359,7 +359,7 @@ def agrees(
         mujoco.mj_forward(model, data)
         if data.ncon or np.any(data.efc_type[: data.nefc] > FRICTION_TENDON):
             return False
-        rate = rate_of(network, np.concatenate([q, v, act]), u)
+        rate = rates_of(network, np.concatenate([q, v, act])[None], u[None])[0]
         worst = max(worst, float(np.abs(rate[:nv] - data.qacc).max()))
         largest = max(largest, float(np.abs(data.qacc).max()))
         if na:
@@ -368,13 +368,23 @@ def agrees(
     return worst <= 1e-9 * largest
 
 
-def rate_of(network: Network, state: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Return d(v, act)/dt (nv + na,) of a network at a state (n,) and an input (nu,), at time 0."""
-    rates = np.empty((1, 1, len(network.linear)))
-    states = np.empty((1, 1, len(state)))
-    start = np.zeros(1, dtype=np.int64)
-    integrate(network, False, state[None], np.atleast_2d(u), start, 1, 1, 1e-6, states, rates)
-    return np.asarray(rates[0, 0])
+def rates_of(network: Network, states: np.ndarray, inputs: np.ndarray) -> np.ndarray:
+    """Return d(v, act)/dt of a network at some states and inputs, as the engine has it.
+
+    Parameters
+    ----------
+    states : ndarray (k, n)
+    inputs : ndarray (k, nu)
+
+    Returns
+    -------
+    ndarray (k, nv + na)
+    """
+    rates = np.empty((len(states), 1, len(network.linear)))
+    initial, u = np.ascontiguousarray(states), np.ascontiguousarray(inputs)
+    rows = np.arange(len(states), dtype=np.int64)
+    integrate(network, False, initial, u, rows, 1, 1, 1e-6, np.empty_like(initial)[:, None], rates)
+    return np.asarray(rates[:, 0])
 
 
 def _joint_ranges(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:

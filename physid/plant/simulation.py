@@ -145,7 +145,9 @@ class Simulator:
         list of Rollout
             One per plant; NaN after a divergence.
         """
-        controls = [self.controls(plant, inputs) for plant in plants]
+        once = {id(plant): plant for plant in plants}
+        signals = {key: self.controls(plant, inputs) for key, plant in once.items()}
+        controls = [signals[id(plant)] for plant in plants]
         if self.compiled:
             found = self._run_network(plants, initial, controls, starts, samples)
             if found is not None:
@@ -165,7 +167,8 @@ class Simulator:
         samples: int,
     ) -> list[Rollout] | None:
         data = mujoco.MjData(plants[0].model)
-        networks = [network_of(plant, data) for plant in plants]
+        read = {id(plant): network_of(plant, data) for plant in {id(p): p for p in plants}.values()}
+        networks = [read[id(plant)] for plant in plants]
         if any(network is None for network in networks):
             return None
         nv = self.structure.nv
