@@ -206,8 +206,9 @@ def _by_balance(inner: Problem, starts: Sequence[Start]) -> list[Start]:
     width = float(widths(experiments)[1])
     try:
         simulator = inner.windows[0].simulator
-        options = {"hold": simulator.hold, "compiled": simulator.compiled}
-        theta = balance(trial.model, trial.parameters, experiments, width, **options).theta
+        theta = balance(
+            trial.model, trial.parameters, experiments, width, simulator=simulator
+        ).theta
     except (np.linalg.LinAlgError, ValueError, ModelError):
         return []
     own = {p.name: v for p, v in zip(trial.parameters, theta, strict=True)}

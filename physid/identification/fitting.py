@@ -141,10 +141,9 @@ def closing_balance(fitted: Fitted) -> Balance | None:
             problem.parameters,
             experiments,
             _quiet_width(experiments, problem.sigma),
-            hold=problem.windows[0].simulator.hold,
+            simulator=problem.windows[0].simulator,
             points=CLOSING_POINTS,
             theta=fitted.estimate.theta,
-            compiled=problem.windows[0].simulator.compiled,
         )
     except (np.linalg.LinAlgError, ValueError, NumericsError, ModelError):
         return None

@@ -24,7 +24,7 @@ from physid.plant.assembly import network_of, rates_of
 from physid.plant.callback import run_time_laws
 from physid.plant.model import Model, Plant
 from physid.plant.parameter import Parameter
-from physid.plant.simulation import Hold, between_samples, delayed
+from physid.plant.simulation import Hold, Simulator, between_samples, delayed
 
 POINTS = 1000
 """Most instants used per record; the closing balance of a result uses more."""
@@ -165,10 +165,9 @@ def balance(
     experiments: Sequence[Experiment],
     width: float,
     *,
-    hold: Hold = "zero",
+    simulator: Simulator | None = None,
     points: int = POINTS,
     theta: np.ndarray | None = None,
-    compiled: bool = False,
 ) -> Balance:
     """Estimate parameters by weighted least squares on the force balance.
 
@@ -179,8 +178,9 @@ def balance(
         Free ones; the balance is linearised at their starting values and solved twice.
     experiments : sequence of Experiment
         All with every joint's position measured.
-    hold : {"zero", "first", "smooth"}
-        The input between samples.
+    simulator : Simulator, optional
+        Says how the input runs between samples (held, if not given), and whether the compiled back
+        end may stand for the engine (not, if not given).
     width : float
         Standard deviation of the smoothing Gaussian [s].  Both sides of the balance are then filtered
         three times as wide: laws are evaluated first, so signs and gaps stay sharp.
@@ -188,13 +188,13 @@ def balance(
         Instants used per record, at most.
     theta : ndarray (p,), optional
         Start.
-    compiled : bool
-        Whether probing found that the compiled back end may stand for the engine.
 
     Returns
     -------
     Balance
     """
+    hold: Hold = simulator.hold if simulator else "zero"
+    compiled = simulator is not None and simulator.compiled
     theta = np.array([p.value for p in parameters]) if theta is None else theta.copy()
     step = min(e.dt for e in experiments)
     start = model.compile(step)

@@ -100,12 +100,10 @@ def _from_force_balance(problem: Problem) -> list[np.ndarray]:
         return []
     found = []
     simulator = problem.windows[0].simulator
-    options = {"hold": simulator.hold, "compiled": simulator.compiled}
+    model, parameters = problem.model, problem.parameters
     for width in widths(experiments):
         try:
-            found.append(
-                balance(problem.model, problem.parameters, experiments, width, **options).theta
-            )
+            found.append(balance(model, parameters, experiments, width, simulator=simulator).theta)
         except (np.linalg.LinAlgError, ValueError, ModelError):
             continue
     return found
