@@ -55,7 +55,8 @@ def network_of(plant: Plant, data: mujoco.MjData) -> Network | None:
     dampers = _bent_dampers(linear, inverse, *_dampers(model))
     sines, cosines = np.split(inverse @ gravity[:, 1:], 2, axis=1)
     laws = plant.elements
-    law_rows = np.array([e.row for e in laws]).reshape(len(laws), model.nv)
+    rows = np.array([e.rows for e in laws]).reshape(len(laws), 3, model.nv)
+    law_rows, law_rates, directions = (np.ascontiguousarray(rows[:, k]) for k in range(3))
     dry = [k for k, e in enumerate(laws) if e.limit is not None]
     friction, partners = _with_dry_laws(friction, law_rows, dry)
     limits = [e.constants if e.limit is None else e.limit for e in laws]
@@ -75,7 +76,8 @@ def network_of(plant: Plant, data: mujoco.MjData) -> Network | None:
         friction[1],
         np.einsum("ej,jk,ek->e", friction[0], inverse, friction[0]),
         law_rows,
-        law_rows @ inverse,
+        law_rates,
+        directions @ inverse,
         np.array([e.offset for e in laws], dtype=float),
         np.array([e.address for e in laws], dtype=np.int64),
         np.cumsum([0, *lengths])[: len(laws)].astype(np.int64),

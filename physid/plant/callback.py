@@ -23,7 +23,7 @@ from numba import carray, types  # type: ignore[attr-defined]
 
 from physid.errors import NumericsError
 from physid.plant.law import call_law, pointer_at
-from physid.plant.model import ELEMENT_WIDTH, Plant
+from physid.plant.model import ELEMENT_WIDTH, JOINT_WIDTH, Plant
 
 _lock = threading.RLock()
 _HEADER = 4  # address, offset, number of joints, number of constants
@@ -35,8 +35,8 @@ def fill_table(plant: Plant, mark: float) -> None:
     table = model.numeric_data
     address_of = {int(model.jnt_dofadr[j]): int(model.jnt_qposadr[j]) for j in range(model.njnt)}
     for e, element in enumerate(plant.elements):
-        moved = [int(d) for d in np.flatnonzero(element.row)]
-        joints = [(address_of[d], d, float(element.row[d])) for d in moved]
+        rows = element.rows
+        joints = [(address_of[d], d, *rows[:, d].tolist()) for d in element.joints.tolist()]
         entry: list[float] = [element.address, element.offset, len(joints), element.constants.size]
         entry += [number for joint in joints for number in joint]
         entry += list(element.constants)
@@ -91,7 +91,7 @@ def _callback() -> tuple[Any, float]:
     words = np.ctypeslib.as_array((ctypes.c_double * 60000).from_address(data._address))
     time_at = int(np.flatnonzero(words == data.time)[0])
     mark = float(np.random.default_rng().uniform(1e9, 1e12))
-    width, header = ELEMENT_WIDTH, _HEADER
+    width, header, entry = ELEMENT_WIDTH, _HEADER, JOINT_WIDTH
 
     @numba.cfunc(types.void(types.uintp, types.uintp))
     def passive(model_address, data_address):  # type: ignore[no-untyped-def]
@@ -115,13 +115,13 @@ def _callback() -> tuple[Any, float]:
             x = -table[start + 1]
             v = 0.0
             for j in range(joints):
-                at = start + header + 3 * j
+                at = start + header + entry * j
                 x += table[at + 2] * qpos[int(table[at])]
-                v += table[at + 2] * qvel[int(table[at + 1])]
-            constants = pointer_at(base + 8 * (start + header + 3 * joints))
+                v += table[at + 3] * qvel[int(table[at + 1])]
+            constants = pointer_at(base + 8 * (start + header + entry * joints))
             f = call_law(np.int64(table[start]), x, v, state[time_at], constants)
             for j in range(joints):
-                at = start + header + 3 * j
-                force[int(table[at + 1])] += table[at + 2] * f
+                at = start + header + entry * j
+                force[int(table[at + 1])] += table[at + 4] * f
 
     return passive, mark

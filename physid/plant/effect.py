@@ -41,12 +41,15 @@ class Coefficient:
 class Element:
     """A compiled force law acting along a combination of joints.
 
+    A law between parts acts along what it senses, so ``row`` alone says both.  One that feels one
+    motion and pushes another, as air does, gives ``rate`` and ``direction`` too.
+
     Parameters
     ----------
     address : int
         Where the compiled law is.
     row : ndarray (nv,)
-        x = row . qpos (relative to ``offset``), v = row . qvel, generalised force = row * law.
+        x = row . qpos (relative to ``offset``).
     offset : float
         Subtracted from row . qpos [m or rad].
     constants : ndarray (k,)
@@ -55,6 +58,10 @@ class Element:
         For dry friction: the constants without the smoothing that a sign needs inside an engine.
     edges : (float, float)
         The coordinates at which the law jumps, where it does.
+    rate : ndarray (nv,) or None
+        v = rate . qvel; ``row`` if None.
+    direction : ndarray (nv,) or None
+        Generalised force = direction * law; ``row`` if None.
     """
 
     address: int
@@ -63,6 +70,20 @@ class Element:
     constants: np.ndarray
     limit: np.ndarray | None = None
     edges: tuple[float, float] = (-np.inf, np.inf)
+    rate: np.ndarray | None = None
+    direction: np.ndarray | None = None
+
+    @property
+    def rows(self) -> np.ndarray:
+        """Row of positions, row of speeds and direction of the force, (3, nv)."""
+        rate = self.row if self.rate is None else self.rate
+        direction = self.row if self.direction is None else self.direction
+        return np.array([self.row, rate, direction], dtype=float)
+
+    @property
+    def joints(self) -> np.ndarray:
+        """Numbers of the joint coordinates that the law senses or pushes, (k,)."""
+        return np.flatnonzero(self.rows.any(axis=0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -28,8 +28,12 @@ from physid.plant.structure import Structure, structure_of
 
 ELEMENT_TABLE = "physid:elements"
 """Name of the table of run-time force laws in a compiled model; never written to a file."""
-ELEMENT_WIDTH = 64
+ELEMENT_WIDTH = 100
 """Numbers reserved per run-time force law."""
+JOINT_WIDTH = 5
+"""Numbers per joint of a law: addresses in qpos and qvel, factors of position, speed and force."""
+MOST_ELEMENTS = 4
+"""Most run-time force laws of one effect."""
 HELD, LINEAR = 0, 1  # the engine's codes for how a delayed input is interpolated
 
 
@@ -202,7 +206,9 @@ class Model:
         runtime = [p for p in self.effects if p.effect.representation == "runtime"]
         if runtime:
             spec.add_numeric(
-                name=ELEMENT_TABLE, size=ELEMENT_WIDTH * 2 * len(runtime) + 2, data=np.zeros(1)
+                name=ELEMENT_TABLE,
+                size=ELEMENT_WIDTH * MOST_ELEMENTS * len(runtime) + 2,
+                data=np.zeros(1),
             )
         try:
             model = spec.compile()
@@ -223,7 +229,7 @@ class Model:
     def _elements(self, model: mujoco.MjModel, placed: Placed) -> tuple[Element, ...]:
         found = placed.effect.elements(model, placed.place, placed.values)
         for element in found:
-            joints, most = np.count_nonzero(element.row), (ELEMENT_WIDTH - 10) // 3
+            joints, most = element.joints.size, (ELEMENT_WIDTH - 10) // JOINT_WIDTH
             if joints > most:
                 raise ModelError(
                     f"{self.site(placed)} couples {joints} joints; at most {most} can."
@@ -332,6 +338,7 @@ def write_delay(actuator: Any, delay: float, timestep: float) -> None:
 __all__ = [
     "ELEMENT_TABLE",
     "ELEMENT_WIDTH",
+    "JOINT_WIDTH",
     "Model",
     "Plant",
     "held_delay",

@@ -26,7 +26,8 @@ class Network(NamedTuple):
     """A constant-mass plant as plain arrays.
 
     The state is x = (q, v, act), (n,) = 2 nv + na.  ``*_rows`` (e, nv) give an element's coordinate,
-    ``*_pulls`` (e, nv) the acceleration per unit of its force, M^-1 w'.
+    ``*_pulls`` (e, nv) the acceleration per unit of its force, M^-1 w'.  Laws need not act along what
+    they feel: ``law_rates`` give their speed, and their pulls the direction of their force.
 
     ``linear`` (nv + na, 1 + n + nu): see the module.  ``limits`` (nu, 2): of the inputs.
     ``swings``: joints in whose angle gravity turns; ``sines``, ``cosines`` (nv, nv): acceleration per
@@ -56,6 +57,7 @@ class Network(NamedTuple):
     friction: np.ndarray
     diagonals: np.ndarray
     law_rows: np.ndarray
+    law_rates: np.ndarray
     law_pulls: np.ndarray
     law_offsets: np.ndarray
     law_addresses: np.ndarray
@@ -153,6 +155,7 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
         friction,
         diagonals,
         law_rows,
+        law_rates,
         law_pulls,
         law_offsets,
         law_addresses,
@@ -320,7 +323,7 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
                                 v = 0.0
                                 for j in range(nv):
                                     z += law_rows[e, j] * stage[j]
-                                    v += law_rows[e, j] * stage[nv + j]
+                                    v += law_rates[e, j] * stage[nv + j]
                                 base = law_constants.ctypes.data
                                 rubbed = law_frictions[e]
                                 if exact:
