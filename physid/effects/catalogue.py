@@ -11,6 +11,7 @@ from typing import Any
 import mujoco
 
 from physid.effects.actuation import ActuatorLag, DeadZone, InputDelay, Saturation
+from physid.effects.aerodynamics import Aerodynamics
 from physid.effects.elasticity import CubicStiffness, LinearStiffness
 from physid.effects.friction import (
     AsymmetricFriction,
@@ -46,6 +47,9 @@ CATALOGUE: tuple[Effect, ...] = (
     InputDelay(),
     ActuatorLag(),
 )
+
+RIG_LAWS: tuple[Effect, ...] = (Aerodynamics(),)
+"""Laws that a rig brings along in its file; never candidates for what a model lacks."""
 
 LINEAR = {"f": "N", "x": "m", "v": "m/s", "m": "kg"}
 ANGULAR = {"f": "N m", "x": "rad", "v": "rad/s", "m": "kg m^2"}
@@ -202,7 +206,7 @@ def _restored(spec: mujoco.MjSpec, name: str, notes: tuple[str, ...]) -> Model:
     model = Model(name=name, spec=spec, notes=notes)
     for text, data in stored:
         effect_name, _, location = text.partition("@")
-        effect = effect_named(effect_name)
+        effect = _stored_effect(effect_name)
         place = structure.find(location, effect.kinds)
         if len(data) != len(effect.coefficients):
             raise ModelError(
@@ -213,6 +217,11 @@ def _restored(spec: mujoco.MjSpec, name: str, notes: tuple[str, ...]) -> Model:
         effect.undo(spec, place, values)
         model = model.with_effect(Placed(effect, place, values))
     return model
+
+
+def _stored_effect(name: str) -> Effect:
+    """Return an effect of the catalogue or a law that only rigs' files bring."""
+    return next((law for law in RIG_LAWS if law.name == name), None) or effect_named(name)
 
 
 def _take_stored(spec: mujoco.MjSpec) -> list[tuple[str, list[float]]]:
@@ -255,6 +264,7 @@ def describe(effect: Effect) -> dict[str, Any]:
 __all__ = [
     "CATALOGUE",
     "KINDS",
+    "RIG_LAWS",
     "add_effects",
     "describe",
     "effect_named",
