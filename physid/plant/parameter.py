@@ -111,6 +111,20 @@ def _factor_inertia(body: Any, value: float) -> None:
     body.inertia[:] = np.asarray(body.inertia) * value
 
 
+def _write_kp(actuator: Any, value: float) -> None:
+    actuator.gainprm[0] = value
+    actuator.biasprm[1] = -value
+
+
+def _write_kv(actuator: Any, value: float) -> None:
+    if not actuator.biasprm[1]:
+        actuator.gainprm[0] = value  # of a velocity servo; a position servo only damps with it
+    actuator.biasprm[2] = -value
+
+
+GAINS = ("kp", "kv")
+"""Attributes that only servos have."""
+
 ATTRIBUTES: dict[tuple[str, str], Attribute] = {
     ("joint", "damping"): Attribute(
         "{f}/({v})", lambda m, i: m.dof_damping[m.jnt_dofadr[i]], _entry("damping")
@@ -134,6 +148,8 @@ ATTRIBUTES: dict[tuple[str, str], Attribute] = {
     ("actuator", "gear"): Attribute(
         "1", lambda m, i: m.actuator_gear[i, 0], _entry("gear"), lower=-np.inf
     ),
+    ("actuator", "kp"): Attribute("{f}/{x}", lambda m, i: -m.actuator_biasprm[i, 1], _write_kp),
+    ("actuator", "kv"): Attribute("{f}/({v})", lambda m, i: -m.actuator_biasprm[i, 2], _write_kv),
     ("body", "mass"): Attribute("kg", lambda m, i: m.body_mass[i], _factor_mass),
     ("body", "inertia"): Attribute("1", lambda m, i: 1.0, _factor_inertia),
     ("body", "com.x"): Attribute(
@@ -172,6 +188,17 @@ def units_of(model: mujoco.MjModel, place: Place) -> dict[str, str]:
     }
 
 
+def _servo_units(model: mujoco.MjModel, place: Place) -> dict[str, str]:
+    """Return the units at what a servo acts on."""
+    i = element_id(model, place)
+    target = int(model.actuator_trnid[i, 0])
+    if model.actuator_trntype[i] == int(mujoco.mjtTrn.mjTRN_JOINT):
+        return units_of(model, Place("joint", model.joint(target).name))
+    if model.actuator_trntype[i] == int(mujoco.mjtTrn.mjTRN_TENDON):
+        return units_of(model, Place("tendon", model.tendon(target).name))
+    return units_of(model, place)
+
+
 def write_unit(template: str, units: dict[str, str]) -> str:
     """Fill a unit template such as ``{f}/({v})``, written as engineers do (``N m s/rad``)."""
     known = {
@@ -195,7 +222,13 @@ def split_name(name: str, structure: Structure) -> tuple[Place, str]:
         if name.endswith("." + attribute):
             element = name[: -len(attribute) - 1]
             kinds = [k for k in KINDS if (k, attribute) in ATTRIBUTES]
-            return structure.find(element, kinds), attribute
+            place = structure.find(element, kinds)
+            if attribute in GAINS and (place.name, attribute) not in structure.servos:
+                servos = (".".join(servo) for servo in sorted(structure.servos))
+                raise ModelError(
+                    f"{element} has no {attribute}: only servos have one. {available(servos)}"
+                )
+            return place, attribute
     raise ModelError(
         f"'{name}' is not a parameter: write ELEMENT.ATTRIBUTE. "
         + available(name for name, _, _ in every_name(structure))
@@ -208,6 +241,7 @@ def every_name(structure: Structure) -> list[tuple[str, Place, str]]:
         (f"{structure.label(place)}.{attribute}", place, attribute)
         for (kind, attribute) in ATTRIBUTES
         for place in structure.of_kind(kind)
+        if attribute not in GAINS or (place.name, attribute) in structure.servos
     ]
 
 
@@ -220,10 +254,11 @@ def read_parameter(model: mujoco.MjModel, place: Place, attribute: str, name: st
         lower, upper = (0.0, np.inf) if value > 0 else (-np.inf, 0.0)
     if place.kind == "body" and attribute in ("mass", "inertia"):
         lower = LIGHTEST * value  # the engine refuses bodies without inertia
+    units = _servo_units(model, place) if attribute in GAINS else units_of(model, place)
     return Parameter(
         name=name,
         value=value,
-        unit=write_unit(row.unit, units_of(model, place)),
+        unit=write_unit(row.unit, units),
         lower=lower,
         upper=upper,
         scale=abs(value) if value else 1.0,

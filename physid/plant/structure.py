@@ -56,6 +56,8 @@ class Structure:
     nq: int
     nv: int
     na: int
+    servos: frozenset[tuple[str, str]] = frozenset()
+    """Actuators that are servos, with the gains they have: (name, ``kp`` or ``kv``)."""
 
     def label(self, place: Place) -> str:
         """Write a place as users do: the name, with the kind in front where names are shared."""
@@ -129,7 +131,21 @@ def structure_of(model: mujoco.MjModel) -> Structure:
         nq=model.nq,
         nv=model.nv,
         na=model.na,
+        servos=frozenset(s for i in range(model.nactuator) for s in _servo_gains(model, i)),
     )
+
+
+def _servo_gains(model: mujoco.MjModel, i: int) -> list[tuple[str, str]]:
+    """List the gains of MuJoCo's ``position`` and ``velocity`` actuators, whose input is a target."""
+    name, gain = model.actuator(i).name, model.actuator_gainprm[i, 0]
+    bias = model.actuator_biasprm[i]
+    fixed = model.actuator_gaintype[i] == int(mujoco.mjtGain.mjGAIN_FIXED)
+    affine = model.actuator_biastype[i] == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    if not (fixed and affine and gain > 0 and not bias[0]):
+        return []
+    if bias[1] == -gain:
+        return [(name, "kp")] + ([(name, "kv")] if bias[2] < 0 else [])
+    return [(name, "kv")] if bias[1] == 0 and bias[2] == -gain else []
 
 
 def _inputs(model: mujoco.MjModel) -> tuple[str, ...]:
@@ -200,11 +216,19 @@ def tendon_row(model: mujoco.MjModel, tendon: int) -> np.ndarray | None:
 
 
 def tendon_unit(model: mujoco.MjModel, tendon: int) -> str:
-    """Return ``rad`` for a tendon that couples hinges only, else ``m``."""
+    """Return the unit of a tendon's length.
+
+    It is ``rad`` for one that couples hinges only, and for one that takes hinges as they are
+    (coefficient 1 or -1) and scales its slides, such as the roll x / R - theta of a wheel; else
+    ``m``.
+    """
     first, count = int(model.tendon_adr[tendon]), int(model.tendon_num[tendon])
-    hinges = all(
-        model.wrap_type[w] == int(mujoco.mjtWrap.mjWRAP_JOINT)
-        and model.jnt_type[model.wrap_objid[w]] == int(mujoco.mjtJoint.mjJNT_HINGE)
-        for w in range(first, first + count)
-    )
-    return "rad" if hinges and count else "m"
+    wraps = range(first, first + count)
+    if not count or any(model.wrap_type[w] != int(mujoco.mjtWrap.mjWRAP_JOINT) for w in wraps):
+        return "m"
+    plain: dict[bool, list[bool]] = {True: [], False: []}  # coefficients of one, by being a hinge
+    for w in wraps:
+        hinge = model.jnt_type[model.wrap_objid[w]] == int(mujoco.mjtJoint.mjJNT_HINGE)
+        plain[bool(hinge)].append(abs(model.wrap_prm[w]) == 1.0)
+    rolls = plain[True] and all(plain[True]) and not any(plain[False])
+    return "rad" if rolls or not plain[False] else "m"
