@@ -15,23 +15,36 @@ def rig_names() -> tuple[str, ...]:
     return tuple(sorted(path.parent.name for path in _folder().glob("*/rig.xml")))
 
 
-def rig_path(name: str) -> Path:
-    """Return the MJCF file of a rig.
+def rig_variants(name: str) -> tuple[str, ...]:
+    """Names of a rig's files, ``"rig"`` first: the same rig with other values or other parts."""
+    files = rig_path(name).parent.glob("*.xml")
+    return ("rig", *sorted(path.stem for path in files if path.stem != "rig"))
+
+
+def rig_path(name: str, variant: str = "rig") -> Path:
+    """Return an MJCF file of a rig.
 
     Parameters
     ----------
     name : str
         Folder name, such as ``"two_inertia"``.
+    variant : str
+        File name without its ending, such as ``"geared"``; the rig's README says what it is.
 
     Raises
     ------
     InputError
-        If there is no such rig; the sentence lists those there are.
+        If there is no such rig or variant; the sentence lists those there are.
     """
     names = rig_names()
     if name not in names:
         raise InputError(f"Rig '{name}' does not exist. {available(names)}")
-    return _folder() / name / "rig.xml"
+    path = _folder() / name / f"{variant}.xml"
+    if variant != "rig" and variant not in rig_variants(name):
+        raise InputError(
+            f"Rig '{name}' has no variant '{variant}'. {available(rig_variants(name))}"
+        )
+    return path
 
 
 def _folder() -> Path:
