@@ -1,0 +1,1 @@
+"""The rigs against the papers' true parameters."""
