@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from physid.record.excitation import Chirp, Excitation, MSequence, Multisine, Noise, Step
+from physid.record.excitation import Excitation, MSequence, Step
+from physid.record.noise import LowPass, Noise
 from physid.record.reading import load_record
 from physid.record.record import Record, Samples, uniform
+from physid.record.sines import Chirp, Multisine
 from physid.record.specification import parse_excitation
 from physid.record.writing import write_record
 
 __all__ = [
     "Chirp",
     "Excitation",
+    "LowPass",
     "MSequence",
     "Multisine",
     "Noise",

@@ -55,6 +55,30 @@ class Excitation(ABC):
             If the step is too long for the signal.
         """
 
+    def sample_with_rate(self, dt: float, rng: np.random.Generator) -> Array:
+        """Draw the signal and its exact derivative, for inputs that are position and velocity.
+
+        Parameters
+        ----------
+        dt, rng
+            As for `sample`.
+
+        Returns
+        -------
+        ndarray, shape (n, 2)
+            The signal and its derivative [per s]; where the derivative jumps, its value from
+            there on.
+
+        Raises
+        ------
+        InputError
+            If the signal has none: it jumps, or is known at its samples alone.
+        """
+        raise InputError(
+            f"An excitation of the kind {type(self).__name__} has no derivative, so it cannot drive "
+            "a position and its velocity: give lowpass, multisine or chirp."
+        )
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,6 +102,9 @@ class MSequence(Excitation):
         How often the sequence is repeated.
     seed : int
         Start phase, 0 to N - 1: the register starts with the bits of seed + 1.
+    taps : int
+        Which register of this order, 0 to 3 (order 2: 0, orders 3 and 4: 0 and 1). Each gives
+        another sequence, so that a model can be tested on one that did not train it.
     """
 
     stages: int
@@ -85,17 +112,24 @@ class MSequence(Excitation):
     amplitude: float = 1.0
     periods: int = 1
     seed: int = 0
+    taps: int = 0
 
     def __post_init__(self) -> None:
         if self.stages not in TAPS:
             raise InputError(
                 f"An M-sequence of {self.stages} stages is not known: give 2 to 24 stages."
             )
-        _check_positive("mseq", clock=self.clock, amplitude=self.amplitude, periods=self.periods)
+        check_positive("mseq", clock=self.clock, amplitude=self.amplitude, periods=self.periods)
         if not 0 <= self.seed < self.period:
             raise InputError(
                 f"The start phase seed={self.seed} of an M-sequence of {self.stages} stages must "
                 f"be one of its bits: give 0 to {self.period - 1}."
+            )
+
+        if not 0 <= self.taps < len(TAPS[self.stages]):
+            raise InputError(
+                f"The register taps={self.taps} of {self.stages} stages is not known: give 0 to "
+                f"{len(TAPS[self.stages]) - 1}."
             )
 
     @property
@@ -110,203 +144,15 @@ class MSequence(Excitation):
 
     def sample(self, dt: float, rng: np.random.Generator) -> Array:
         """Draw the sequence; nothing in it is random."""
-        count = _count(self.length, dt)
+        count = count_samples(self.length, dt)
         if dt > self.clock * (1.0 + 1e-9):
             raise InputError(
                 f"The step {dt:g} s is longer than the clock {self.clock:g} s of the M-sequence: "
                 "give a clock of at least one step."
             )
-        bits = maximal_sequence(self.stages, self.period, self.seed + 1)
+        bits = maximal_sequence(self.stages, self.period, self.seed + 1, self.taps)
         index = np.floor(np.arange(count) * (dt / self.clock) + 1e-6).astype(np.int64)
         return np.asarray(self.amplitude * (2.0 * bits[index % self.period] - 1.0))
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Noise(Excitation):
-    """Band-limited noise: white Gaussian noise through a Butterworth low-pass.
-
-    Parameters
-    ----------
-    cutoff : float
-        Corner frequency of the filter, Hz; at least one period in the duration, and below half the
-        sampling rate.
-    duration : float
-        Length, s.
-    amplitude : float
-        Root mean square. Peaks reach three to four times as far.
-    order : int
-        Order of the filter, 1 to 20.
-    """
-
-    cutoff: float
-    duration: float
-    amplitude: float = 1.0
-    order: int = 4
-
-    def __post_init__(self) -> None:
-        _check_positive(
-            "noise", cutoff=self.cutoff, duration=self.duration, amplitude=self.amplitude
-        )
-        if self.cutoff * self.duration < 1.0:
-            raise InputError(
-                f"The cutoff {self.cutoff:g} Hz of noise is below one period in its duration of "
-                f"{self.duration:g} s: give at least {1.0 / self.duration:g} Hz or a longer one."
-            )
-        if not 1 <= self.order <= 20:
-            raise InputError(
-                f"The filter order {self.order} of noise must be 1 to 20: give such a number."
-            )
-
-    @property
-    def length(self) -> float:
-        """How long the signal lasts, s."""
-        return self.duration
-
-    def sample(self, dt: float, rng: np.random.Generator) -> Array:
-        """Draw the noise, past the transient of the filter."""
-        from scipy.signal import butter, sosfilt
-
-        count = _count(self.duration, dt)
-        _check_band("noise", self.cutoff, dt)
-        settling = math.ceil(2.0 * self.order / (self.cutoff * dt))
-        filtered = sosfilt(
-            butter(self.order, self.cutoff, fs=1.0 / dt, output="sos"),
-            rng.standard_normal(settling + count),
-        )[-count:]
-        return np.asarray(self.amplitude * filtered / np.sqrt(np.mean(filtered**2)))
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Multisine(Excitation):
-    """A sum of equal sines on the harmonics of one period, with a low crest factor.
-
-    Parameters
-    ----------
-    low, high : float
-        Band of the harmonics, Hz, both ends included; below half the sampling rate.
-    duration : float
-        Length, s.
-    amplitude : float
-        Largest absolute value.
-    periods : int
-        How often the signal repeats within its duration; the harmonics are periods / duration
-        apart. draws : int
-        Sets of random phases tried, of which the one with the lowest crest factor is taken; 0 takes
-        the phases of Schroeder (IEEE Trans. Inform. Theory 16, 1970), which are not random.
-    """
-
-    low: float
-    high: float
-    duration: float
-    amplitude: float = 1.0
-    periods: int = 1
-    draws: int = 20
-
-    def __post_init__(self) -> None:
-        _check_positive(
-            "multisine",
-            low=self.low,
-            high=self.high,
-            duration=self.duration,
-            amplitude=self.amplitude,
-            periods=self.periods,
-        )
-        if self.draws < 0:
-            raise InputError(
-                f"The number of draws of a multisine is {self.draws}, but must be 0 or more: give "
-                "such a number."
-            )
-        if self.harmonics.size == 0:
-            raise InputError(
-                f"No harmonic of {self.periods / self.duration:g} Hz lies within {self.low:g} to "
-                f"{self.high:g} Hz: give a longer duration or a wider band."
-            )
-
-    @property
-    def length(self) -> float:
-        """How long the signal lasts, s."""
-        return self.duration
-
-    @property
-    def harmonics(self) -> npt.NDArray[np.int64]:
-        """Numbers of the harmonics of the period in the band, shape (k,)."""
-        period = self.duration / self.periods
-        first = math.ceil(self.low * period - 1e-9)
-        return np.arange(max(first, 1), math.floor(self.high * period + 1e-9) + 1)
-
-    def sample(self, dt: float, rng: np.random.Generator) -> Array:
-        """Draw phases and sum the sines."""
-        count = _count(self.duration, dt)
-        _check_band("multisine", self.high, dt)
-        phases = self._phases(rng)
-        angle = 2.0 * np.pi * self.periods / self.duration * dt * np.arange(count)
-        signal = np.zeros(count)
-        for harmonic, phase in zip(self.harmonics, phases, strict=True):
-            signal += np.cos(harmonic * angle + phase)
-        return np.asarray(self.amplitude * signal / np.max(np.abs(signal)))
-
-    def _phases(self, rng: np.random.Generator) -> Array:
-        lines = self.harmonics.size
-        if self.draws == 0:
-            index = np.arange(lines)
-            return -np.pi * index * (index + 1) / lines
-        return min(
-            (rng.uniform(0.0, 2.0 * np.pi, lines) for _ in range(self.draws)), key=self._peak
-        )
-
-    def _peak(self, phases: Array) -> float:
-        spectrum = np.zeros(int(self.harmonics[-1]) + 1, dtype=np.complex128)
-        spectrum[self.harmonics] = np.exp(1j * phases)
-        signal = np.fft.irfft(spectrum, 8 * spectrum.size)
-        return float(np.max(np.abs(signal)))
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Chirp(Excitation):
-    r"""A sine whose frequency runs evenly from one end of a band to the other.
-
-    .. math:: u(t) = A \sin 2 \pi \left(f_0 t + \frac{f_1 - f_0}{2 T} t^2\right)
-
-    Parameters
-    ----------
-    low, high : float
-        Frequency at the start and at the end, Hz; below half the sampling rate.
-    duration : float
-        Length T, s.
-    amplitude : float
-        Largest absolute value A.
-    """
-
-    low: float
-    high: float
-    duration: float
-    amplitude: float = 1.0
-
-    def __post_init__(self) -> None:
-        _check_positive(
-            "chirp",
-            low=self.low,
-            high=self.high,
-            duration=self.duration,
-            amplitude=self.amplitude,
-        )
-
-    @property
-    def length(self) -> float:
-        """How long the signal lasts, s."""
-        return self.duration
-
-    def sample(self, dt: float, rng: np.random.Generator) -> Array:
-        """Draw the sweep; nothing in it is random."""
-        time = dt * np.arange(_count(self.duration, dt))
-        _check_band("chirp", max(self.low, self.high), dt)
-        rate = (self.high - self.low) / self.duration
-        return np.asarray(
-            self.amplitude * np.sin(2.0 * np.pi * (self.low + 0.5 * rate * time) * time)
-        )
 
 
 @final
@@ -329,7 +175,7 @@ class Step(Excitation):
     amplitude: float = 1.0
 
     def __post_init__(self) -> None:
-        _check_positive("step", duration=self.duration)
+        check_positive("step", duration=self.duration)
         if not math.isfinite(self.amplitude) or self.amplitude == 0.0:
             raise InputError(
                 f"The amplitude {self.amplitude:g} of a step must be finite and not 0: give such "
@@ -348,11 +194,12 @@ class Step(Excitation):
 
     def sample(self, dt: float, rng: np.random.Generator) -> Array:
         """Draw the step; nothing in it is random."""
-        time = dt * np.arange(_count(self.duration, dt))
+        time = dt * np.arange(count_samples(self.duration, dt))
         return np.where(time >= self.time - 1e-6 * dt, self.amplitude, 0.0)
 
 
-def _check_positive(kind: str, **values: float) -> None:
+def check_positive(kind: str, **values: float) -> None:
+    """Refuse what is not positive and finite."""
     for name, value in values.items():
         if not (math.isfinite(value) and value > 0.0):
             raise InputError(
@@ -361,7 +208,8 @@ def _check_positive(kind: str, **values: float) -> None:
             )
 
 
-def _check_band(kind: str, frequency: float, dt: float) -> None:
+def check_band(kind: str, frequency: float, dt: float) -> None:
+    """Refuse a frequency [Hz] that a step [s] cannot carry."""
     if frequency >= 0.5 / dt:
         raise InputError(
             f"The frequency {frequency:g} Hz of the excitation {kind} must be below {0.5 / dt:g} "
@@ -369,7 +217,8 @@ def _check_band(kind: str, frequency: float, dt: float) -> None:
         )
 
 
-def _count(length: float, dt: float) -> int:
+def count_samples(length: float, dt: float) -> int:
+    """Return how many steps a signal has."""
     if not (math.isfinite(dt) and dt > 0.0):
         raise InputError(f"The time step {dt:g} s must be positive: give such a number.")
     samples = length / dt

@@ -6,11 +6,14 @@ from collections.abc import Mapping
 from dataclasses import MISSING, Field, fields
 
 from physid.errors import InputError, available
-from physid.record.excitation import Chirp, Excitation, MSequence, Multisine, Noise, Step
+from physid.record.excitation import Excitation, MSequence, Step
+from physid.record.noise import LowPass, Noise
+from physid.record.sines import Chirp, Multisine
 
-KINDS: Mapping[str, type[MSequence | Noise | Multisine | Chirp | Step]] = {
+KINDS: Mapping[str, type[MSequence | Noise | LowPass | Multisine | Chirp | Step]] = {
     "mseq": MSequence,
     "noise": Noise,
+    "lowpass": LowPass,
     "multisine": Multisine,
     "chirp": Chirp,
     "step": Step,
@@ -26,6 +29,7 @@ def parse_excitation(spec: str) -> Excitation:
     spec : str
         For example ``mseq:stages=15,clock=0.005,amplitude=1,periods=2``,
         ``noise:cutoff=20,amplitude=1,duration=10``,
+        ``lowpass:cutoff=16,order=2,amplitude=0.1,duration=1``,
         ``multisine:low=0.1,high=10,amplitude=1,duration=10``,
         ``chirp:low=0.1,high=10,amplitude=1,duration=10`` or
         ``step:time=1,amplitude=1,duration=10``.
