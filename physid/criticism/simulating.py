@@ -42,7 +42,8 @@ def simulate(
         Its input columns are the inputs.
     excite : str, optional
         An excitation of the first actuator instead, such as
-        ``"mseq:stages=10,clock=0.01,amplitude=1"``; ``ACTUATOR=...`` in front names another.
+        ``"mseq:stages=10,clock=0.01,amplitude=1"``; ``ACTUATOR=...`` in front names another, and
+        ``ACTUATOR,ACTUATOR=...`` gives a second one the signal's derivative.
     add : sequence of str
         Effects with values, ``EFFECT@LOCATION:parameter=value,...``.
     hold : {"zero", "first", "smooth"}, optional
@@ -110,15 +111,23 @@ def _excited(model: Model, text: str, seed: int) -> tuple[np.ndarray, np.ndarray
         raise InputError(f"{model.name} has no actuator to excite; give a record with --input.")
     name, equals, rest = text.partition("=")
     chosen, spec = (name, rest) if equals and ":" not in name else (structure.inputs[0], text)
-    if chosen not in structure.inputs:
-        raise InputError(f"No actuator is called '{chosen}'. {available(structure.inputs)}")
+    names = chosen.split(",")
+    for driven in names:
+        if driven not in structure.inputs:
+            raise InputError(f"No actuator is called '{driven}'. {available(structure.inputs)}")
+    if len(names) > 2:
+        raise InputError(
+            f"'{chosen}' names {len(names)} actuators; give one, or two of which the second gets "
+            "the signal's derivative."
+        )
     excitation = parse_excitation(spec)
     dt = model.dt
     if isinstance(excitation, MSequence):
         dt = excitation.clock / math.ceil(excitation.clock / dt - 1e-9)
-    u = excitation.sample(dt, np.random.default_rng(seed))
+    draw = excitation.sample_with_rate if len(names) == 2 else excitation.sample
+    u = draw(dt, np.random.default_rng(seed)).reshape(-1, len(names))
     inputs = np.zeros((len(u), len(structure.inputs)))
-    inputs[:, structure.inputs.index(chosen)] = u
+    inputs[:, [structure.inputs.index(driven) for driven in names]] = u
     return np.arange(len(u)) * dt, inputs, text
 
 
