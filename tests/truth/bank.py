@@ -75,7 +75,7 @@ def cases(
     rigs: Sequence[str] = tuple(RIGS),
     noise: Sequence[float] = (0.003, 0.01),
     *,
-    nulls: int = 4,
+    nulls: int = 10,
     seconds: tuple[float, float] = (10.0, 14.0),
     limit: int | None = None,
 ) -> list[Case]:
