@@ -36,7 +36,7 @@ from physid.identification.staged import (
     thinned,
     windowed,
 )
-from physid.identification.study import Options, Study, at_values
+from physid.identification.study import Options, Study
 from physid.plant.effect import Effect, Placed, Scales
 from physid.plant.structure import Place
 
@@ -197,7 +197,7 @@ def _undistorted(study: Study, problem: Problem) -> Estimate:
     Under a large missing effect the best fit is a distorted one, at which nothing looks like itself;
     the start, from the force balance or short windows, is nearer the truth.
     """
-    frozen = replace(problem, model=at_values(problem.model, problem.parameters, study.theta))
+    frozen = replace(problem, model=problem.at(study.theta))
     found = states_only(frozen)
     return replace(found, theta=study.theta)
 

@@ -14,7 +14,6 @@ from physid.identification.noise import correlation_time
 from physid.identification.output_error import Estimate, Problem, linearise, minimise
 from physid.identification.screening import orthonormal
 from physid.identification.staged import LONG, SHORT, states_only
-from physid.identification.study import at_values
 from physid.identification.uncertainty import bartlett
 from physid.identification.windows import Span
 from physid.plant.effect import Placed, Scales
@@ -67,7 +66,7 @@ class Refit:
 
     def fitted_at(self, horizon: str) -> tuple[Placed, ...]:
         """Return the added effects at the values fitted at a horizon."""
-        model = at_values(self.problem.model, self.problem.parameters, self.fits[horizon].theta)
+        model = self.problem.at(self.fits[horizon].theta)
         return tuple(next(p for p in model.effects if p.same_site(a)) for a in self.added)
 
     def plausible(self, scales: Mapping[Place, Scales]) -> bool:
@@ -312,10 +311,8 @@ def _compare(
 ) -> tuple[Estimate, Estimate, tuple[float, float]]:
     """Return the base's and the candidate's fits of initial states on judging windows, and two t-values."""
     theta = base.fits[horizon].theta
-    old = replace(problem, model=at_values(problem.model, problem.parameters, theta))
-    new_model = at_values(
-        candidate.problem.model, candidate.problem.parameters, candidate.fits[horizon].theta
-    )
+    old = replace(problem, model=problem.at(theta))
+    new_model = candidate.problem.at(candidate.fits[horizon].theta)
     new = replace(candidate.problem, windows=problem.windows, model=new_model)
     before, after = states_only(old), states_only(new)
     point = linearise(old, theta, before.states, before.residuals)

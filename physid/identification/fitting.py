@@ -21,7 +21,7 @@ from physid.identification.staged import (
     states_only,
     windowed,
 )
-from physid.identification.study import Study, at_values
+from physid.identification.study import Study
 from physid.identification.uncertainty import Uncertainty, uncertainty_of
 from physid.plant.model import Model
 
@@ -47,7 +47,7 @@ class Fitted:
     @property
     def model(self) -> Model:
         """The model at the fitted values."""
-        return at_values(self.problem.model, self.problem.parameters, self.estimate.theta)
+        return self.problem.at(self.estimate.theta)
 
 
 def fit_study(study: Study, *, from_windows: bool = True) -> Fitted:

@@ -18,8 +18,10 @@ from scipy.signal import lfilter
 
 from physid.errors import DivergedError
 from physid.identification.windows import Windows, initial_states, state_indices
+from physid.plant.family import Family, family_of
 from physid.plant.model import Model, Plant
 from physid.plant.parameter import Parameter
+from physid.plant.simulation import Simulator
 
 FILTER = int(mujoco.mjtDyn.mjDYN_FILTER)
 INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
@@ -31,6 +33,10 @@ FARTHEST = 5.0
 """Longest step of a parameter in multiples of its size."""
 SHARES = (1.0, 1.0, 0.4, 0.15, 0.05, 0.015, 0.004)
 """Shares of a step that are tried in turn; the damping grows while they are 1."""
+MANY = 2
+"""Plants of a problem that are compiled before it is worth knowing the family of all."""
+MOST_FAMILIES = 64
+"""Families kept per MJCF; the oldest goes first."""
 STEP = 1e-4
 """Relative step of finite differences: above the kinks of friction, below the curvature."""
 
@@ -58,8 +64,30 @@ class Problem:
 
     def plant(self, theta: np.ndarray, step: float) -> Plant:
         """Compile the model at parameter values theta (p,)."""
+        return self.at(theta).compile(step)
+
+    def at(self, theta: np.ndarray) -> Model:
+        """Return the model at parameter values theta (p,)."""
         values = {p.name: float(v) for p, v in zip(self.parameters, theta, strict=True)}
-        return self.model.with_values(values).compile(step)
+        return self.model.with_values(values)
+
+    def family(self, simulator: Simulator, thetas: Sequence[np.ndarray]) -> Family | None:
+        """Return the family of the model's plants, once several are wanted; None without one.
+
+        It is kept with what else was computed from the MJCF, for all problems that share it.
+        """
+        free = tuple(p.name for p in self.parameters)
+        if not simulator.exact or not free:
+            return None
+        known: dict[object, Family | None] = self.model.derived.setdefault("families", {})
+        key = (simulator.step, free, self.model.fixed_values(free))
+        if key not in known:
+            if len({t.tobytes() for t in thetas}) <= MANY:
+                return None
+            if len(known) >= MOST_FAMILIES:
+                known.pop(next(iter(known)))
+            known[key] = family_of(self.model, self.parameters, thetas[0], simulator.step)
+        return known[key]
 
     def with_windows(self, windows: Sequence[Windows]) -> Problem:
         """Return the same problem on other windows."""
@@ -123,7 +151,7 @@ def with_activations(
         if kind == INTEGRATOR:
             path = model.opt.timestep * np.concatenate([[0.0], np.cumsum(u)])
         else:
-            keep = np.exp(-model.opt.timestep / model.actuator_dynprm[i, 0])
+            keep = np.exp(-model.opt.timestep / plant.time_constants[i])
             path = lfilter([0.0, 1.0 - keep], [1.0, -keep], u, zi=[u[0]])[0]
         activations[:, model.actuator_actadr[i]] = path[starts * substeps]
     return np.hstack([states, activations])
@@ -145,11 +173,14 @@ def residuals_of(
     plants: dict[tuple[float, bytes], Plant] = {}
     for e, windows in enumerate(problem.windows):
         simulator = windows.simulator
+        family = problem.family(simulator, thetas) if simulator.compiled else None
         row = []
         for theta in thetas:
             key = (simulator.step, theta.tobytes())
             if key not in plants:
-                plants[key] = problem.plant(theta, simulator.step)
+                plants[key] = (
+                    family.plant(theta) if family else problem.plant(theta, simulator.step)
+                )
             row.append(plants[key])
         initial = []
         for plant, x in zip(row, states, strict=True):

@@ -119,8 +119,7 @@ def _cost(problem: Problem, theta: np.ndarray) -> float:
 
 
 def _frozen(problem: Problem, theta: np.ndarray) -> Problem:
-    values = {p.name: float(v) for p, v in zip(problem.parameters, theta, strict=True)}
-    return replace(problem, model=problem.model.with_values(values), parameters=())
+    return replace(problem, model=problem.at(theta), parameters=())
 
 
 def fit_windows(
