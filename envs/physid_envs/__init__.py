@@ -17,6 +17,24 @@ except ModuleNotFoundError as error:
         name="gymnasium",
     ) from None
 
+from physid_envs.batched import BatchedRigEnv
+from physid_envs.environment import RigEnv
+from physid_envs.excitation import Excite
+from physid_envs.experiment import run_experiment
+from physid_envs.feedback import StateFeedback, regulator_gain
+from physid_envs.recording import Recorder
 from physid_envs.registration import register_all
+from physid_envs.task import Task
+
+__all__ = [
+    "BatchedRigEnv",
+    "Excite",
+    "Recorder",
+    "RigEnv",
+    "StateFeedback",
+    "Task",
+    "regulator_gain",
+    "run_experiment",
+]
 
 register_all(_gymnasium.registry)

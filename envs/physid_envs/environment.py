@@ -26,6 +26,8 @@ from physid_envs.task import Task
 
 Array = npt.NDArray[np.float64]
 ONE = np.ones(1, dtype=bool)
+DIVERGED = "The simulation diverged."
+"""What ``info["ended"]`` says of a run that left the finite numbers."""
 
 
 class Sample(NamedTuple):
@@ -119,7 +121,9 @@ class RigEnv(gymnasium.Env[Array, Array]):
     def sample(self) -> Sample:
         """The row that the last step adds to a record."""
         if self._sample is None:
-            raise ResetNeededError("No step has been made yet: call step() before reading a sample.")
+            raise ResetNeededError(
+                "No step has been made yet: call step() before reading a sample."
+            )
         return self._sample
 
     def reset(
@@ -143,7 +147,9 @@ class RigEnv(gymnasium.Env[Array, Array]):
             If the action has another shape or is not finite.
         """
         if not self._ready:
-            raise ResetNeededError("The episode has not begun, or has diverged: call reset() first.")
+            raise ResetNeededError(
+                "The episode has not begun, or has diverged: call reset() first."
+            )
         inputs = checked_actions(action, self._bench.inputs)
         diverged = self._advance(inputs)
         observation = self._last if diverged else self._observe()
@@ -151,7 +157,7 @@ class RigEnv(gymnasium.Env[Array, Array]):
         reward = float(self._bench.judge.reward(self._true, inputs, np.bool_(ended)))
         info = self._info()
         if ended:
-            info["ended"] = "The simulation diverged." if diverged else self._reason()
+            info["ended"] = DIVERGED if diverged else self._reason()
         return observation.copy(), reward, ended, False, info
 
     def render(self) -> npt.NDArray[np.uint8] | None:  # type: ignore[override]

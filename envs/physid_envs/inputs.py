@@ -108,8 +108,12 @@ class Activations:
         self._columns = [int(first.actuator_ctrladr[i]) for i in lags]
         self._places = [int(first.actuator_actadr[i]) for i in lags]
         self._size = first.na
-        ranges = np.array([m.actuator_ctrlrange[lags] for m in models]).reshape(len(models), len(lags), 2)
-        limited = np.array([m.actuator_ctrllimited[lags] for m in models]).reshape(len(models), len(lags))
+        ranges = np.array([m.actuator_ctrlrange[lags] for m in models]).reshape(
+            len(models), len(lags), 2
+        )
+        limited = np.array([m.actuator_ctrllimited[lags] for m in models]).reshape(
+            len(models), len(lags)
+        )
         self._low = np.where(limited, ranges[..., 0], -np.inf)
         self._high = np.where(limited, ranges[..., 1], np.inf)
 

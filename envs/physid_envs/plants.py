@@ -79,7 +79,9 @@ def altered(model: Model, parameters: Mapping[str, float], effects: Sequence[str
         If a name does not exist, a value is missing, or lies outside its bounds.
     """
     if isinstance(effects, str):
-        raise InputError(f"effects is a list of effects, not one text: write effects=['{effects}'].")
+        raise InputError(
+            f"effects is a list of effects, not one text: write effects=['{effects}']."
+        )
     found, free = add_effects(model, effects)
     missing = [name for name in free if name not in parameters]
     if missing:
