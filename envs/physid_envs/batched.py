@@ -126,7 +126,7 @@ class BatchedRigEnv(gymnasium.vector.VectorEnv[Array, Array, Array]):
         self._started = True
         return self._observe(), {}
 
-    def step(
+    def step(  # type: ignore[override]
         self, actions: Array
     ) -> tuple[Array, Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]]:
         """Hold an action per copy, (num_envs, nu), for one control period.

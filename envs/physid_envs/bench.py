@@ -47,8 +47,8 @@ class Bench:
     clock: Clock
     instruments: Instruments
     judge: Judge
-    action_space: Box
-    observation_space: Box
+    action_space: Box[np.float64]
+    observation_space: Box[np.float64]
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -106,8 +106,8 @@ def make_bench(
         instruments=Instruments(
             noise=per_channel(noise, structure, "noise"),
             quantum=per_channel(quantisation, structure, "quantisation"),
-            low=observations.low,
-            high=observations.high,
+            low=observations.low.astype(np.float64),
+            high=observations.high.astype(np.float64),
         ),
         judge=judge_of(
             rig.task if task is None else task,
@@ -119,5 +119,5 @@ def make_bench(
     )
 
 
-def _half_widths(space: Box) -> npt.NDArray[np.float64]:
+def _half_widths(space: Box[np.float64]) -> npt.NDArray[np.float64]:
     return np.maximum(np.maximum(np.abs(space.low), np.abs(space.high)), 1e-300)

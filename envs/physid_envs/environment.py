@@ -13,15 +13,15 @@ import numpy.typing as npt
 
 from physid.plant.callback import fill_tables, obeyed_laws
 from physid.plant.engine import without_warnings
-from physid.plant.model import Model, Plant
+from physid.plant.model import Model
 from physid_envs.actions import checked_actions
+from physid_envs.bench import Bench, make_bench
 from physid_envs.errors import ResetNeededError
 from physid_envs.inputs import Activations, InputLine
 from physid_envs.instruments import Setting, fill_histories
 from physid_envs.options import Options
 from physid_envs.plants import Source
 from physid_envs.rendering import Picture, check_render_mode
-from physid_envs.bench import Bench, make_bench
 from physid_envs.task import Task
 
 Array = npt.NDArray[np.float64]
@@ -106,8 +106,7 @@ class RigEnv(gymnasium.Env[Array, Array]):
         self.metadata = {**type(self).metadata, **self._bench.metadata}  # type: ignore[misc]
         self.render_mode = render_mode
         self._picture = Picture(width, height, camera) if render_mode else None
-        self._base: Plant | None = None
-        self._ready = False
+        self._installed: Model | None = None
         self._install(self._bench.believed)
         self._begin(self.model.qpos0, np.zeros(self.model.nv))
         self._ready = False
@@ -154,13 +153,13 @@ class RigEnv(gymnasium.Env[Array, Array]):
         diverged = self._advance(inputs)
         observation = self._last if diverged else self._observe()
         ended = diverged or bool(self._bench.judge.beyond(self._true))
-        reward = float(self._bench.judge.reward(self._true, inputs, np.bool_(ended)))
+        reward = float(self._bench.judge.reward(self._true, inputs, np.array(ended)))
         info = self._info()
         if ended:
             info["ended"] = DIVERGED if diverged else self._reason()
         return observation.copy(), reward, ended, False, info
 
-    def render(self) -> npt.NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> npt.NDArray[np.uint8] | None:
         """Draw the rig as it stands, (height, width, 3); None without a render mode."""
         if self._picture is None:
             return None
@@ -173,12 +172,12 @@ class RigEnv(gymnasium.Env[Array, Array]):
 
     def _install(self, believed: Model) -> None:
         """Compile a model, unless it is the one in place."""
-        if self._base is not None and believed is self._installed:
+        if believed is self._installed:
             return
-        looks = self._picture is not None
-        plant = believed.compile(self._bench.clock.step, looks=looks)
-        self._installed, self._base = believed, plant
-        self.model, self.data = plant.model, mujoco.MjData(plant.model)
+        plant = believed.compile(self._bench.clock.step, looks=self._picture is not None)
+        self._installed = believed
+        self.model: mujoco.MjModel = plant.model
+        self.data = mujoco.MjData(plant.model)
         self._lawful = fill_tables([plant])
         self._line = InputLine([plant], self._bench.clock.substeps, self._bench.clock.step)
         self._activations = Activations([plant.model])
@@ -186,7 +185,8 @@ class RigEnv(gymnasium.Env[Array, Array]):
     def _begin(self, qpos: Array, qvel: Array) -> None:
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:], self.data.qvel[:] = qpos, qvel
-        self._count, self._sample, self._ready = 0, None, True
+        self._count, self._ready = 0, True
+        self._sample: Sample | None = None
         with self._engine():
             fill_histories(self.model, self.data)
             self._refresh()

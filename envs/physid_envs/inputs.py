@@ -7,11 +7,13 @@ one copy of a rig or many.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from physid.plant.effect import Placed
 from physid.plant.model import Plant
 
 Array = npt.NDArray[np.float64]
@@ -78,8 +80,8 @@ def _samples_back(steps: Array, substeps: int) -> npt.NDArray[np.int64]:
     return np.asarray(np.ceil(np.maximum(lag, 0.0) / substeps), dtype=np.int64)
 
 
-def _conditioners(plants: Sequence[Plant]) -> list[tuple[int, object, dict[str, Array]]]:
-    found = []
+def _conditioners(plants: Sequence[Plant]) -> list[tuple[int, Placed, Any]]:
+    found: list[tuple[int, Placed, Any]] = []
     for position, (k, placed) in enumerate(plants[0].conditioners):
         values = {
             name: np.array([p.conditioners[position][1].values[name] for p in plants])

@@ -44,6 +44,7 @@ class Picture:
         self._camera_name = camera
         self._model: mujoco.MjModel | None = None
         self._window: Any = None
+        self._context: Any = None
 
     def draw(self, model: mujoco.MjModel, data: mujoco.MjData) -> npt.NDArray[np.uint8]:
         """Draw a state.

@@ -15,7 +15,7 @@ LARGEST = float(mujoco.mjMAXVAL)
 """Bound of an output without ``cutoff``: beyond it the engine itself calls a run diverged."""
 
 
-def action_space(model: mujoco.MjModel, structure: Structure) -> Box:
+def action_space(model: mujoco.MjModel, structure: Structure) -> Box[np.float64]:
     """Return the box of the actuators' ``ctrlrange``, in their own units.
 
     An actuator without a range takes any input; its side of the box, which only says where
@@ -35,7 +35,7 @@ def action_space(model: mujoco.MjModel, structure: Structure) -> Box:
     return Box(low, high, dtype=np.float64)
 
 
-def observation_space(model: mujoco.MjModel, structure: Structure) -> Box:
+def observation_space(model: mujoco.MjModel, structure: Structure) -> Box[np.float64]:
     """Return the box of the sensors' ``cutoff``, or of what the engine can simulate at all.
 
     Raises
