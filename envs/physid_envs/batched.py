@@ -42,7 +42,7 @@ class BatchedRigEnv(gymnasium.vector.VectorEnv[Array, Array, Array]):
         Hidden effects of all copies, or of each.
     parameters : mapping of str to float or array_like (num_envs,)
         True values of all copies, or of each: domain randomisation.
-    noise, quantisation, delay, control_period, task
+    noise, quantisation, delay, control_period, timestep, task
         As :class:`physid_envs.environment.RigEnv` takes them.
     max_episode_steps : int, optional
         Steps after which an episode is truncated; -1 or None for never.
@@ -79,6 +79,7 @@ class BatchedRigEnv(gymnasium.vector.VectorEnv[Array, Array, Array]):
         quantisation: Setting = 0.0,
         delay: Setting = 0.0,
         control_period: float | None = None,
+        timestep: float | None = None,
         task: Task | None = None,
         max_episode_steps: int | None = None,
         threads: int = 0,
@@ -91,7 +92,9 @@ class BatchedRigEnv(gymnasium.vector.VectorEnv[Array, Array, Array]):
         self.num_envs, self._threads = num_envs, threads
         limit = max_episode_steps if max_episode_steps is not None else -1
         self._limit = limit if limit > 0 else np.iinfo(np.int64).max
-        self._bench = make_bench(model, (), {}, noise, quantisation, delay, control_period, task)
+        self._bench = make_bench(
+            model, (), {}, noise, quantisation, delay, control_period, timestep, task
+        )
         self.metadata = {**type(self).metadata, **self._bench.metadata}  # type: ignore[misc]
         self.single_action_space = self._bench.action_space
         self.single_observation_space = self._bench.observation_space

@@ -85,6 +85,7 @@ def make_bench(
     quantisation: Setting,
     delay: Setting,
     control_period: float | None,
+    timestep: float | None,
     task: Task | None,
 ) -> Bench:
     """Set up a rig from the arguments of an environment.
@@ -95,7 +96,8 @@ def make_bench(
         If one of them is wrong.
     """
     model, rig = model_of(source)
-    clock = control_clock(model, rig.control_period if control_period is None else control_period)
+    period = rig.control_period if control_period is None else control_period
+    clock = control_clock(model, period, timestep)
     base = with_sensor_delays(model, per_channel(delay, model.structure, "delay"), clock.step)
     nominal, structure = base.nominal, base.structure
     actions, observations = action_space(nominal, structure), observation_space(nominal, structure)

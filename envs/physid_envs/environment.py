@@ -59,6 +59,9 @@ class RigEnv(gymnasium.Env[Array, Array]):
         Standard deviation, step, and delay [s] of every sensor, or of those named.
     control_period : float, optional
         Time between actions [s]; by default the rig's, or ten steps of the MJCF.
+    timestep : float, optional
+        Longest step of the engine [s]; by default the MJCF's. Friction and play that are hidden in
+        a rig are the more exact the shorter it is.
     task : Task, optional
         Reward and termination; by default the rig's.
     render_mode : {"rgb_array"}, optional
@@ -91,6 +94,7 @@ class RigEnv(gymnasium.Env[Array, Array]):
         quantisation: Setting = 0.0,
         delay: Setting = 0.0,
         control_period: float | None = None,
+        timestep: float | None = None,
         task: Task | None = None,
         render_mode: str | None = None,
         width: int = 480,
@@ -99,7 +103,15 @@ class RigEnv(gymnasium.Env[Array, Array]):
     ) -> None:
         check_render_mode(render_mode)
         self._bench = make_bench(
-            model, effects, parameters or {}, noise, quantisation, delay, control_period, task
+            model,
+            effects,
+            parameters or {},
+            noise,
+            quantisation,
+            delay,
+            control_period,
+            timestep,
+            task,
         )
         self.action_space = self._bench.action_space
         self.observation_space = self._bench.observation_space

@@ -48,19 +48,27 @@ def model_of(source: Source | None) -> tuple[Model, Rig]:
     return load_model(text), Rig()
 
 
-def control_clock(model: Model, period: float | None) -> Clock:
+def control_clock(model: Model, period: float | None, timestep: float | None) -> Clock:
     """Return the control period and the engine's step.
+
+    Parameters
+    ----------
+    period : float or None
+        Time between actions [s]; None for ten steps of the MJCF.
+    timestep : float or None
+        Longest step of the engine [s]; None for the MJCF's.
 
     Raises
     ------
     InputError
-        If the period is not positive.
+        If one of them is not positive.
     """
-    if period is None:
-        period = STEPS_PER_ACTION * model.dt
-    if not (math.isfinite(period) and period > 0.0):
-        raise InputError(f"The control period is {period:g} s, but must be positive and finite.")
-    return clock_of(period, model.dt)
+    period = STEPS_PER_ACTION * model.dt if period is None else period
+    timestep = model.dt if timestep is None else timestep
+    for name, value in (("control period", period), ("time step", timestep)):
+        if not (math.isfinite(value) and value > 0.0):
+            raise InputError(f"The {name} is {value:g} s, but must be positive and finite.")
+    return clock_of(period, timestep)
 
 
 def altered(model: Model, parameters: Mapping[str, float], effects: Sequence[str]) -> Model:

@@ -28,12 +28,29 @@ class Rig:
 
 
 RIGS: Mapping[str, Rig] = {
-    "seated_driver": Rig(control_period=0.002),
-    "building": Rig(control_period=0.01),
-    "two_wheel_robot": Rig(control_period=0.005),
-    "two_inertia": Rig(control_period=0.005),
-    "aircraft": Rig(control_period=0.02),
-    "oscillator": Rig(control_period=0.02),
+    "seated_driver": Rig(
+        control_period=0.001, task=Task(scales={"head_position": 0.01, "head_velocity": 0.5})
+    ),
+    "building": Rig(
+        control_period=0.005,
+        task=Task(scales={f"floor{storey}_position": 0.01 for storey in (1, 2, 3, 4)}),
+    ),
+    "two_wheel_robot": Rig(
+        control_period=0.005,
+        task=Task(
+            scales={"tilt_angle": 0.1, "wheel_angle": 5.0},
+            bonus=1.0,
+            limits={"tilt_angle": 0.7},  # beyond 40 degrees no motor gets it up again
+        ),
+    ),
+    "two_inertia": Rig(
+        control_period=0.005, task=Task(scales={"drive_angle": 1.0, "load_angle": 1.0})
+    ),
+    "aircraft": Rig(
+        control_period=0.02,
+        task=Task(scales={"speed": 5.0, "climb": 5.0, "pitch_angle": 0.1, "pitch_rate": 0.1}),
+    ),
+    "oscillator": Rig(control_period=0.04, task=Task(scales={"position": 0.5})),
 }
 """The rigs that come with physid, by the name of their folder."""
 
