@@ -39,6 +39,8 @@ class Bench:
     instruments : Instruments
     judge : Judge
         Reward and termination.
+    units : mapping of str to str
+        Units of inputs that the MJCF cannot tell.
     action_space, observation_space : Box
     """
 
@@ -47,6 +49,7 @@ class Bench:
     clock: Clock
     instruments: Instruments
     judge: Judge
+    units: Mapping[str, str]
     action_space: Box[np.float64]
     observation_space: Box[np.float64]
 
@@ -72,7 +75,7 @@ class Bench:
         return {
             "render_fps": max(1, round(1.0 / self.clock.dt)),
             "control_period": self.clock.dt,
-            "action_units": input_units(self.base.nominal, structure),
+            "action_units": {**input_units(self.base.nominal, structure), **self.units},
             "observation_units": output_units(structure),
         }
 
@@ -116,6 +119,7 @@ def make_bench(
             [c.name for c in structure.channels],
             _half_widths(actions),
         ),
+        units=rig.units,
         action_space=actions,
         observation_space=observations,
     )

@@ -21,10 +21,13 @@ class Rig:
         Time between two actions [s]; None for ten steps of the MJCF.
     task : Task
         Reward and termination.
+    units : mapping of str to str
+        Units of inputs that the MJCF cannot tell.
     """
 
     control_period: float | None = None
     task: Task = field(default_factory=Task)
+    units: Mapping[str, str] = field(default_factory=dict)
 
 
 RIGS: Mapping[str, Rig] = {
@@ -42,6 +45,7 @@ RIGS: Mapping[str, Rig] = {
             bonus=1.0,
             limits={"tilt_angle": 0.7},  # beyond 40 degrees no motor gets it up again
         ),
+        units={"motor": "1"},  # the thesis gives none
     ),
     "two_inertia": Rig(
         control_period=0.005, task=Task(scales={"drive_angle": 1.0, "load_angle": 1.0})
@@ -49,6 +53,7 @@ RIGS: Mapping[str, Rig] = {
     "aircraft": Rig(
         control_period=0.02,
         task=Task(scales={"speed": 5.0, "climb": 5.0, "pitch_angle": 0.1, "pitch_rate": 0.1}),
+        units={"elevator": "rad"},
     ),
     "oscillator": Rig(control_period=0.04, task=Task(scales={"position": 0.5})),
 }
