@@ -11,12 +11,11 @@ import numpy.typing as npt
 from mujoco.batch import Batch
 
 from physid.plant.callback import fill_tables, obeyed_laws
-from physid.plant.engine import without_warnings
+from physid.plant.engine import fill_histories, without_warnings
 from physid.plant.model import Plant
 from physid.plant.stepping import Clock
 from physid_envs.environment import WARNINGS
 from physid_envs.inputs import Activations, InputLine
-from physid_envs.instruments import fill_histories
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]

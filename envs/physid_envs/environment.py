@@ -12,13 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from physid.plant.callback import fill_tables, obeyed_laws
-from physid.plant.engine import without_warnings
+from physid.plant.engine import fill_histories, without_warnings
 from physid.plant.model import Model
 from physid_envs.actions import checked_actions
 from physid_envs.bench import Bench, make_bench
 from physid_envs.errors import ResetNeededError
 from physid_envs.inputs import Activations, InputLine
-from physid_envs.instruments import Setting, fill_histories
+from physid_envs.instruments import Setting
 from physid_envs.options import Options
 from physid_envs.plants import Source
 from physid_envs.rendering import Picture, check_render_mode

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from physid.errors import InputError, available
-from physid.record import parse_excitation
+from physid.record import parse_drive
 from physid_envs.actions import checked_actions
 from physid_envs.recording import rig_of
 
@@ -27,8 +27,10 @@ class Excite(gymnasium.Wrapper[Array, Array, Array, Array], gymnasium.utils.Reco
     ----------
     env : gymnasium.Env
     excitation : str or mapping of str to str
-        Such as ``"mseq:stages=9,clock=0.01,amplitude=0.5"``, of the first actuator; or actuator to
-        excitation. A clock is best a whole number of control periods.
+        As ``physid simulate --excite`` takes it: ``"mseq:stages=9,clock=0.01,amplitude=0.5"``, of
+        the first actuator; ``"motor=mseq:..."``; or ``"position,velocity=lowpass:..."``, where the
+        second actuator gets the derivative. A mapping excites several actuators, each by its own.
+        A clock is best a whole number of control periods.
     seed : int
         Of what is random in it; an M-sequence has nothing.
 
@@ -78,18 +80,16 @@ class Excite(gymnasium.Wrapper[Array, Array, Array, Array], gymnasium.utils.Reco
 def _sampled(
     excitation: str | Mapping[str, str], names: tuple[str, ...], dt: float, seed: int
 ) -> Array:
-    """Draw the signals (n, nu) of all actuators; shorter ones end in zeros."""
-    chosen = {names[0]: excitation} if isinstance(excitation, str) else dict(excitation)
-    for name in chosen:
-        if name not in names:
-            raise InputError(f"No actuator is called '{name}'. {available(names)}")
-    if not chosen:
+    """Draw the signals (n, nu) of all actuators and add them; shorter ones end in zeros."""
+    texts = (
+        [excitation]
+        if isinstance(excitation, str)
+        else [f"{name}={spec}" for name, spec in excitation.items()]
+    )
+    if not texts:
         raise InputError(f"No actuator is excited; name one or more. {available(names)}")
-    drawn = {
-        name: parse_excitation(spec).sample(dt, np.random.default_rng(seed))
-        for name, spec in chosen.items()
-    }
-    signal = np.zeros((max(map(len, drawn.values())), len(names)))
-    for name, column in drawn.items():
-        signal[: len(column), names.index(name)] = column
+    drawn = [parse_drive(text, names).sample(dt, np.random.default_rng(seed)) for text in texts]
+    signal = np.zeros((max(map(len, drawn)), len(names)))
+    for part in drawn:
+        signal[: len(part)] += part
     return signal

@@ -85,28 +85,13 @@ def delay_sensors(spec: mujoco.MjSpec, structure: Structure, delays: Array, step
     spec : mujoco.MjSpec
         Changed in place.
     delays : ndarray (ny,)
-        Added to each output's delay [s]; a sensor has the delay of its first output.
+        Added to each output's delay [s]; a sensor has one delay for all its outputs.
     step : float
         The engine's step [s].
     """
-    for channel, delay in zip(structure.channels, delays, strict=True):
-        sensor = spec.sensor(channel.sensor)
-        if delay > 0.0 and sensor.delay < delay:
-            sensor.delay = sensor.delay + delay
-            sensor.nsample = math.ceil(sensor.delay / step) + 3
-            sensor.interp = 1  # straight lines between the engine's steps
-
-
-def fill_histories(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Let delayed sensors have read, before the run, what they read at its start."""
-    delays, counts = model.sensor_delay.copy(), model.sensor_history[:, 0]
-    if not delays.any():
-        return
-    model.sensor_delay[:] = 0.0
-    mujoco.mj_forward(model, data)
-    model.sensor_delay[:] = delays
-    for i in np.flatnonzero(delays):
-        start, size = int(model.sensor_adr[i]), int(model.sensor_dim[i])
-        now = data.sensordata[start : start + size]
-        past = np.tile(now, (int(counts[i]), 1))
-        mujoco.mj_initSensorHistory(model, data, int(i), None, past, 0.0)
+    first = {c.sensor: float(d) for c, d in zip(structure.channels, delays, strict=True) if d > 0}
+    for name, delay in first.items():
+        sensor = spec.sensor(name)
+        sensor.delay = sensor.delay + delay
+        sensor.nsample = max(sensor.nsample, math.ceil(sensor.delay / step) + 3)
+        sensor.interp = 1  # straight lines between the engine's steps

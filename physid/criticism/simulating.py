@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from physid.effects.catalogue import add_effects
-from physid.errors import DivergedError, InputError, available
+from physid.errors import DivergedError, InputError
 from physid.identification.output_error import with_activations
 from physid.identification.study import as_model
 from physid.plant.model import Model
 from physid.plant.simulation import Hold, Rollout, Simulator
 from physid.plant.stepping import Clock, clock_of
-from physid.record import MSequence, Record, load_record, parse_excitation
+from physid.record import MSequence, Record, load_record, parse_drive
 
 GOOD_ENOUGH = 1e-3
 """Integration error relative to the outputs' spread that goes without a note."""
@@ -131,26 +131,13 @@ def _excited(model: Model, text: str, seed: int) -> tuple[np.ndarray, np.ndarray
     structure = model.structure
     if not structure.inputs:
         raise InputError(f"{model.name} has no actuator to excite; give a record with --input.")
-    name, equals, rest = text.partition("=")
-    chosen, spec = (name, rest) if equals and ":" not in name else (structure.inputs[0], text)
-    names = chosen.split(",")
-    for driven in names:
-        if driven not in structure.inputs:
-            raise InputError(f"No actuator is called '{driven}'. {available(structure.inputs)}")
-    if len(names) > 2:
-        raise InputError(
-            f"'{chosen}' names {len(names)} actuators; give one, or two of which the second gets "
-            "the signal's derivative."
-        )
-    excitation = parse_excitation(spec)
+    drive = parse_drive(text, structure.inputs)
     dt = model.dt
-    if isinstance(excitation, MSequence):
-        dt = excitation.clock / math.ceil(excitation.clock / dt - 1e-9)
-    draw = excitation.sample_with_rate if len(names) == 2 else excitation.sample
-    u = draw(dt, np.random.default_rng(seed)).reshape(-1, len(names))
-    inputs = np.zeros((len(u), len(structure.inputs)))
-    inputs[:, [structure.inputs.index(driven) for driven in names]] = u
-    return np.arange(len(u)) * dt, inputs, text
+    if isinstance(drive.excitation, MSequence):
+        clock = drive.excitation.clock
+        dt = clock / math.ceil(clock / dt - 1e-9)
+    inputs = drive.sample(dt, np.random.default_rng(seed))
+    return np.arange(len(inputs)) * dt, inputs, text
 
 
 def _simulated(

@@ -1,5 +1,6 @@
 """A rollout and ``physid simulate`` are the same run, bit for bit."""
 
+import gymnasium
 import numpy as np
 import pytest
 from physid_envs.rigs import NAMES
@@ -54,6 +55,20 @@ def test_finer_step():
     hidden = ["coulomb_friction@load:force=0.05"]
     env = make(effects=hidden, timestep=0.0002, control_period=0.003)
     assert_same(env, rig_path("two_inertia"), actions, hidden, timestep=0.0002)
+
+
+def test_late_sensors_of_the_file(tumbler):
+    text = tumbler.read_text(encoding="utf-8")
+    late = '<jointpos name="angle" joint="hinge" delay="0.0131" nsample="12" interp="linear"/>'
+    text = text.replace('<jointpos name="angle" joint="hinge"/>', late)
+    tumbler.write_text(text.replace('axis="0 1 0"', 'axis="0 1 0" ref="20"'), encoding="utf-8")
+    actions = np.random.default_rng(5).uniform(-2, 2, (30, 1))
+    seen, outputs = assert_same(make("Rig", model=tumbler), tumbler, actions)
+    np.testing.assert_array_equal(seen[:, 0], outputs[:, 0])
+    assert seen[0, 0] > 0.3
+    many = gymnasium.make_vec("physid_envs:physid/Rig-v0", num_envs=1, model=tumbler)
+    batched = [many.reset()[0], *(many.step(a[None])[0] for a in actions[:-1])]
+    np.testing.assert_array_equal(np.array(batched)[:, 0, 0], seen[:, 0])
 
 
 def test_a_row_holds_what_its_own_input_does(tumbler):

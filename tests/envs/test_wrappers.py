@@ -7,6 +7,7 @@ from physid_envs import Excite, Recorder, StateFeedback, pieces, regulator_gain,
 import physid
 from physid.errors import InputError
 from physid.record import MSequence, load_record
+from physid.rigs import rig_path
 from tests.envs.rigs import make
 
 SPEC = "mseq:stages=6,clock=0.01,amplitude=0.4"
@@ -34,6 +35,10 @@ def test_a_saved_record_is_read_back(tmp_path):
     env.reset(seed=4)
     seen = [env.step([0.1 * k])[0] for k in range(5)]
     loaded = load_record(env.save(tmp_path / "run.csv"))
+    clean = run_experiment(make(), SPEC)
+    physid.write_record(clean, tmp_path / "clean.csv")
+    run = physid.simulate(rig_path("two_inertia"), tmp_path / "clean.csv")
+    np.testing.assert_array_equal(run.values, clean.values)
     np.testing.assert_array_equal(loaded.values, env.record.values)
     np.testing.assert_array_equal(env.record.select(["drive_angle", "load_angle"])[1:], seen[:-1])
 
@@ -54,6 +59,15 @@ def test_excitation_truncates_when_it_is_over():
     assert env.samples == 126
     assert ends[-1]
     assert not any(ends[:-1])
+
+
+def test_a_position_and_its_velocity():
+    spec = "base_position,base_velocity=multisine:low=2,high=20,duration=0.5,amplitude=0.01"
+    record = run_experiment(make("SeatedDriver"), spec)
+    slope = np.gradient(record.column("base_position"), record.dt)
+    np.testing.assert_allclose(record.column("base_velocity")[1:-1], slope[1:-1], rtol=0, atol=0.01)
+    named = run_experiment(make(), f"motor={SPEC}")
+    np.testing.assert_array_equal(named.values, run_experiment(make(), SPEC).values)
 
 
 def test_several_actuators():
