@@ -61,11 +61,11 @@ class Options:
             return bench.believed
         return altered(bench.believed, self.parameters, self.effects)
 
-    def state(self, qpos0: Array) -> tuple[Array, Array]:
-        """Return the initial positions (..., nq) and speeds (..., nv)."""
+    def state(self, qpos0: Array, copies: int | None = None) -> tuple[Array, Array]:
+        """Return the initial positions (nq,) and speeds (nv,), with a row for each of some copies."""
         joints = self.structure.joints
         rest = np.zeros(self.structure.nv)
         return (
-            initial_state(self.qpos, qpos0, {j.name: j.qpos for j in joints}, "qpos"),
-            initial_state(self.qvel, rest, {j.name: j.dof for j in joints}, "qvel"),
+            initial_state(self.qpos, qpos0, {j.name: j.qpos for j in joints}, "qpos", copies),
+            initial_state(self.qvel, rest, {j.name: j.dof for j in joints}, "qvel", copies),
         )

@@ -121,6 +121,7 @@ def initial_state(
     default: npt.NDArray[np.float64],
     addresses: Mapping[str, int],
     what: str,
+    copies: int | None = None,
 ) -> npt.NDArray[np.float64]:
     """Read initial positions or speeds.
 
@@ -134,10 +135,12 @@ def initial_state(
         Joint to its place.
     what : str
         ``qpos`` or ``qvel``, for messages.
+    copies : int, optional
+        Of a batch, each of which may have a row of its own.
 
     Returns
     -------
-    ndarray (n,), or (m, n) where so many rows are given
+    ndarray (n,), or (copies, n)
 
     Raises
     ------
@@ -154,8 +157,11 @@ def initial_state(
             state[addresses[name]] = value
     elif given is not None:
         state = np.array(given, dtype=float)
-    if state.shape[-1:] != default.shape or not np.isfinite(state).all():
+    rows = [default.shape] if copies is None else [default.shape, (copies, default.size)]
+    if state.shape not in rows or not np.isfinite(state).all():
+        each = "" if copies is None else f" (or a row of them for each of {copies} copies)"
         raise InputError(
-            f"The option {what} must be {default.size} finite numbers, or joint names with values."
+            f"The option {what} must be {default.size} finite numbers{each}, or joint names with "
+            "values."
         )
-    return state
+    return state if copies is None else np.broadcast_to(state, rows[-1])

@@ -57,6 +57,7 @@ def test_unknown_rig_by_gymnasium_name():
         ({"position": 1}, "qpos, qvel"),
         ({"qpos": {"lode": 1}}, "drive, load"),
         ({"qpos": [1]}, "2 finite"),
+        ({"qpos": [[1, 2]]}, "2 finite"),
         ({"qvel": [1, np.nan]}, "2 finite"),
         ({"parameters": {"load.dumping": 1}}, r"load\.damping"),
         ({"effects": ["coulomb@load:force=1"]}, "coulomb_friction"),

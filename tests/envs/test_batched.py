@@ -151,6 +151,8 @@ def test_wrong_steps():
     many = batch()
     with pytest.raises(InputError, match=r"reset\(\) first"):
         many.step(ACTIONS[0])
+    with pytest.raises(InputError, match="each of 5 copies"):
+        many.reset(options={"qpos": np.zeros((3, 2))})
     many.reset()
     with pytest.raises(InputError, match=r"\(5, 1\)"):
         many.step(np.zeros((2, 1)))
