@@ -15,6 +15,7 @@ from physid.criticism.evidence import (
     Judgement,
     Refit,
     Start,
+    alike,
     choosing_spans,
     colour,
     judge,
@@ -218,16 +219,8 @@ def _screened(
             if group is None:
                 continue
             known = groups.setdefault((group[0].effect.name, group[0].place), [])
-            known += [s for s in group if not any(_same_start(s, k) for k in known)]
+            known += [s for s in group if not any(alike(s.start, k.start) for k in known)]
     return [group[:MOST_STARTS] for group in groups.values()]
-
-
-def _same_start(one: Scored, other: Scored) -> bool:
-    """Say whether two starts differ by less than a fifth in every coefficient."""
-    return all(
-        abs(v - other.start.values[k]) <= 0.2 * max(abs(v), abs(other.start.values[k]))
-        for k, v in one.start.values.items()
-    )
 
 
 def _with_siblings(base: Base, fits: list[Refit], scales: dict[Place, Scales]) -> list[Refit]:

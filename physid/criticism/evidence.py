@@ -12,7 +12,7 @@ from physid.errors import ModelError, NumericsError
 from physid.identification.force_balance import balance, observable, widths
 from physid.identification.noise import correlation_time
 from physid.identification.output_error import Estimate, Problem, linearise, minimise
-from physid.identification.screening import orthonormal
+from physid.identification.screening import orthonormal, screen
 from physid.identification.staged import LONG, SHORT, states_only
 from physid.identification.uncertainty import bartlett
 from physid.identification.windows import Span
@@ -155,8 +155,54 @@ def refit(
     Refit or None
         The best; None if none can be simulated or none is plausible.
     """
+    promising = _promising(base, inner, [*starts, *_by_balance(inner, starts)], scales)
+    best = _best_of(base, inner, promising, scales, rank, already)
+    if best is None or not any(c.shape or c.fixed for c in starts[0].placed.effect.coefficients):
+        return best
+    again = _best_of(
+        base, inner, _seen_from(base, inner, best, [*starts, *promising]), scales, rank, already
+    )
+    return min((f for f in (best, again) if f is not None), key=lambda f: sum(_logs(f, base)))
+
+
+def _seen_from(base: Base, inner: Problem, best: Refit, known: Sequence[Start]) -> list[Start]:
+    """Return starts in shapes that show only once the model's own parameters have made room.
+
+    The shapes are screened where the base model was distorted by what it lacks; from the best
+    candidate's parameters they are seen more clearly.
+    """
+    own = best.added[-1]
+    problem = inner.with_windows(base.problems["long"].windows)
+    theta = start_of(best.problem, best.fits["long"].theta, inner)
+    ground = replace(states_only(replace(problem, model=problem.at(theta))), theta=theta)
+    tried = [*(s.placed for s in known), best.fitted[-1]]
+    return [
+        Start(s.start, s.theta)
+        for s in screen(problem, ground, [(own.effect, own.place)])
+        if not any(alike(s.start, placed) for placed in tried)
+    ]
+
+
+def alike(one: Placed, other: Placed) -> bool:
+    """Say whether values of an effect differ by less than a fifth, and what is not fitted not at all."""
+    return all(
+        abs(one.values[c.name] - other.values[c.name])
+        <= (0.0 if c.fixed else 0.2 * max(abs(one.values[c.name]), abs(other.values[c.name])))
+        for c in one.effect.coefficients
+    )
+
+
+def _best_of(
+    base: Base,
+    inner: Problem,
+    starts: Sequence[Start],
+    scales: Scales,
+    rank: int,
+    already: tuple[Placed, ...],
+) -> Refit | None:
+    """Fit a candidate from every start; return the best that still is the effect it is called."""
     best: Refit | None = None
-    for start in _promising(base, inner, [*starts, *_by_balance(inner, starts)], scales):
+    for start in starts:
         trial = with_candidate(inner, (start.placed,), scales)
         fits = _fit_horizons(base, trial, start_of(inner, start.theta, trial))
         if fits is None:
@@ -172,24 +218,32 @@ def refit(
 
 
 def _promising(base: Base, inner: Problem, starts: Sequence[Start], scales: Scales) -> list[Start]:
-    """Keep the start that is best on long windows; three for an effect whose shape is fitted."""
+    """Keep the start that is best on long windows; for a shaped effect two, and two on short ones.
+
+    Long windows tell amplitudes apart; under a motion that soon runs away from the measured one,
+    only short ones tell shapes.
+    """
     if len(starts) < 2:
         return list(starts)
-    costs = []
-    for start in starts:
-        trial = with_candidate(inner, (start.placed,), scales).with_windows(
-            base.problems["long"].windows
-        )
-        try:
-            fit = minimise(
-                trial, start_of(inner, start.theta, trial), base.fits["long"].states, iterations=1
-            )
-            costs.append(fit.chi2)
-        except (NumericsError, ModelError):
-            costs.append(float("inf"))
-    shaped = any(c.shape for c in starts[0].placed.effect.coefficients)
-    order = np.argsort(costs)[: 3 if shaped else 1]
-    return [starts[k] for k in order if np.isfinite(costs[k])]
+    shaped = any(c.shape or c.fixed for c in starts[0].placed.effect.coefficients)
+    chosen: list[int] = []
+    for horizon in ("long", "short") if shaped else ("long",):
+        costs = [_first_cost(base, inner, start, scales, horizon) for start in starts]
+        order = [int(k) for k in np.argsort(costs) if np.isfinite(costs[k])]
+        chosen += order[: 2 if shaped else 1]
+    return [starts[k] for k in dict.fromkeys(chosen)]
+
+
+def _first_cost(base: Base, inner: Problem, start: Start, scales: Scales, horizon: str) -> float:
+    """Return the misfit on a horizon's windows after one step from a start."""
+    trial = with_candidate(inner, (start.placed,), scales).with_windows(
+        base.problems[horizon].windows
+    )
+    theta = start_of(inner, start.theta, trial)
+    try:
+        return minimise(trial, theta, base.fits[horizon].states, iterations=1).chi2
+    except (NumericsError, ModelError):
+        return float("inf")
 
 
 def _by_balance(inner: Problem, starts: Sequence[Start]) -> list[Start]:

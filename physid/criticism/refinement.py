@@ -129,11 +129,13 @@ def candidate_rows(study: Study, found: Diagnosis) -> list[dict[str, Any]]:
 
 
 def with_effects(study: Study, candidate: Candidate) -> Study:
-    """Return the study with a candidate's effects in its model, at their fitted values."""
+    """Return the study with a candidate's effects in its model, at the values fitted on long windows.
+
+    Those on whole stretches are nearer where they are right, but may be in a minimum of their own.
+    """
     fit = candidate.refit
-    horizon = "block" if "block" in fit.fits else "long"
     problem = fit.problem.with_windows(study.problem.windows)
-    return replace(study, problem=problem, theta=fit.fits[horizon].theta)
+    return replace(study, problem=problem, theta=fit.fits["long"].theta)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

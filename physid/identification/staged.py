@@ -10,7 +10,7 @@ import numpy as np
 from physid.errors import ConvergenceError, DivergedError, ModelError
 from physid.identification.force_balance import balance, observable, widths
 from physid.identification.output_error import Estimate, Problem, minimise
-from physid.identification.windows import Span, cut, typical_period, whole
+from physid.identification.windows import Span, Windows, cut, typical_period, whole
 
 SHORT, LONG = 0.3, 1.5
 """Window lengths in typical periods of the motion."""
@@ -155,6 +155,33 @@ def fit_whole(
     if not np.isfinite(estimate.chi2):
         raise ConvergenceError("The fit did not reach a finite misfit; check the model's units.")
     return estimate
+
+
+def fit_growing(problem: Problem, theta: np.ndarray) -> Estimate:
+    """Fit windows that double in length from a sixteenth of the records, then the whole.
+
+    Where a motion soon forgets its start, the misfit of a whole record has minima that windows have
+    not; windows that grow lead from theirs to the right one.  Each starts from the state found for
+    the first of the two it joins.
+
+    Raises
+    ------
+    DivergedError, ConvergenceError
+        If the simulation diverges or no minimum is reached.
+    """
+    states = None
+    for pieces in (16, 8, 4, 2):
+        joined = problem.with_windows([_in_pieces(w, pieces) for w in problem.windows])
+        found = minimise(joined, theta, states, iterations=20)
+        theta, states = found.theta, [x[::2] for x in found.states]
+    return fit_whole(problem, theta, states)
+
+
+def _in_pieces(windows: Windows, pieces: int) -> Windows:
+    """Return windows of a power of two of equal pieces, which start where shorter ones start."""
+    least = windows.experiment.samples // 16
+    samples = least * (16 // pieces)
+    return replace(windows, starts=np.arange(pieces) * samples, samples=samples)
 
 
 def states_only(problem: Problem, states: list[np.ndarray] | None = None) -> Estimate:
