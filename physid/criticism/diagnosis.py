@@ -24,6 +24,7 @@ from physid.criticism.evidence import (
     refit,
     start_of,
     with_block,
+    without_partner,
 )
 from physid.effects.catalogue import CATALOGUE
 from physid.errors import NumericsError
@@ -46,10 +47,12 @@ REFITS = 4
 """Candidates refitted from each of the two screenings."""
 TRIALS = 3
 """Shapes of each that are started from."""
-MOST_STARTS = 4
+MOST_STARTS = 6
 """Starts of one candidate, over all screenings."""
 PARTNERS = 3
 """Best single effects that get a partner, and partners tried from each screening."""
+RUNAWAY = 8.0
+"""Times its own value beyond which a parameter was driven there by what the model lacks."""
 SHOWN = 6
 """Candidates fitted on whole stretches and reported."""
 FEW = 3
@@ -147,6 +150,9 @@ def diagnose_study(
     if partnered:
         _report(options, span, "trying pairs", 0.65)
         fits = _best_with_blocks(base, [*fits, *_pairs(base, fits, partnered, candidates)], scales)
+        if len(fits[0].added) > 1:
+            alone = without_partner(base, fits[0], scales)
+            fits = _best_with_blocks(base, _better_of([*fits, *alone], base), scales)
     _report(options, span, "judging on data not used for the choice", 0.9)
     ranked = _ranked(base, judging, fits, max(len(candidates), 1))
     verdict, sentence = _verdict(study, base, ranked, named)
@@ -196,11 +202,14 @@ def _undistorted(study: Study, problem: Problem) -> Estimate:
     """Return the study's start as a ground for screening.
 
     Under a large missing effect the best fit is a distorted one, at which nothing looks like itself;
-    the start, from the force balance or short windows, is nearer the truth.
+    the start, from the force balance or short windows, is nearer the truth.  Where even that has run
+    away along a valley, the model's own values are.
     """
-    frozen = replace(problem, model=problem.at(study.theta))
-    found = states_only(frozen)
-    return replace(found, theta=study.theta)
+    nominal = problem.start()
+    size = np.array([max(abs(p.value), p.scale) for p in problem.parameters])
+    theta = nominal if np.any(np.abs(study.theta) > RUNAWAY * size) else study.theta
+    found = states_only(replace(problem, model=problem.at(theta)))
+    return replace(found, theta=theta)
 
 
 def _screened(
@@ -209,18 +218,22 @@ def _screened(
     most: int,
     per_effect: int,
 ) -> list[list[Scored]]:
-    """Screen on several grounds and join the shortlists, alternating."""
-    groups: dict[tuple[str, Place], list[Scored]] = {}
-    lists = [
-        shortlist(screen(problem, fit, candidates), most, per_effect) for problem, fit in grounds
-    ]
-    for pair in zip_longest(*lists):
-        for group in pair:
-            if group is None:
-                continue
-            known = groups.setdefault((group[0].effect.name, group[0].place), [])
-            known += [s for s in group if not any(alike(s.start, k.start) for k in known)]
-    return [group[:MOST_STARTS] for group in groups.values()]
+    """Screen on several grounds and join the shortlists, alternating.
+
+    What one ground proposes starts in the shapes that all of them see.
+    """
+    screens = [screen(problem, fit, candidates, per_effect) for problem, fit in grounds]
+    chosen = dict.fromkeys(
+        site for row in zip_longest(*(shortlist(s, most) for s in screens)) for site in row if site
+    )
+    groups = []
+    for site in chosen:
+        known: list[Scored] = []
+        for scored in screens:
+            own = [s for s in scored if (s.effect.name, s.place) == site]
+            known += [s for s in own if not any(alike(s.start, k.start) for k in known)]
+        groups.append(known[:MOST_STARTS])
+    return groups
 
 
 def _with_siblings(base: Base, fits: list[Refit], scales: dict[Place, Scales]) -> list[Refit]:
@@ -240,12 +253,20 @@ def _with_siblings(base: Base, fits: list[Refit], scales: dict[Place, Scales]) -
         )
         found = refit(base, base.problems["long"], [start], scales[inner.place], rank=best.rank)
         if found is not None:
-            same = [f for f in out if f.sites() == found.sites()]
-            if not same or _score(base, found, ("short", "long")) < _score(
-                base, same[0], ("short", "long")
-            ):
-                out = [f for f in out if f.sites() != found.sites()] + [found]
-    return out
+            out.append(found)
+    return _better_of(out, base)
+
+
+def _better_of(fits: Sequence[Refit], base: Base) -> list[Refit]:
+    """Keep the better of two fits of the same effects."""
+    best: dict[frozenset[tuple[str, str]], Refit] = {}
+    for fit in fits:
+        sites = frozenset(fit.sites())
+        if sites not in best or _score(base, fit, ("short", "long")) < _score(
+            base, best[sites], ("short", "long")
+        ):
+            best[sites] = fit
+    return list(best.values())
 
 
 def _best_with_blocks(

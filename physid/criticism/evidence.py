@@ -165,6 +165,22 @@ def refit(
     return min((f for f in (best, again) if f is not None), key=lambda f: sum(_logs(f, base)))
 
 
+def without_partner(base: Base, pair: Refit, scales: Mapping[Place, Scales]) -> list[Refit]:
+    """Fit each effect of a pair by itself, from where the pair ended.
+
+    A second effect may only have led the first to its right values.
+    """
+    found = []
+    inner = base.problems["long"]
+    for placed in pair.fitted:
+        theta = start_of(pair.problem, pair.fits["long"].theta, inner)
+        start = Start(placed, theta)
+        alone = _best_of(base, inner, [start], scales[placed.place], pair.rank, ())
+        if alone is not None:
+            found.append(with_block(base, alone))
+    return found
+
+
 def _seen_from(base: Base, inner: Problem, best: Refit, known: Sequence[Start]) -> list[Start]:
     """Return starts in shapes that show only once the model's own parameters have made room.
 
@@ -235,13 +251,14 @@ def _promising(base: Base, inner: Problem, starts: Sequence[Start], scales: Scal
 
 
 def _first_cost(base: Base, inner: Problem, start: Start, scales: Scales, horizon: str) -> float:
-    """Return the misfit on a horizon's windows after one step from a start."""
+    """Return the misfit on a horizon's windows after a step from a start, or three on short ones."""
     trial = with_candidate(inner, (start.placed,), scales).with_windows(
         base.problems[horizon].windows
     )
     theta = start_of(inner, start.theta, trial)
     try:
-        return minimise(trial, theta, base.fits[horizon].states, iterations=1).chi2
+        steps = 3 if horizon == "short" else 1
+        return minimise(trial, theta, base.fits[horizon].states, iterations=steps).chi2
     except (NumericsError, ModelError):
         return float("inf")
 
@@ -310,7 +327,8 @@ def with_block(base: Base, fit: Refit) -> Refit:
         if tried[-1].chi2 < 0.5 * base.fits["block"].chi2:
             break
     if not tried:
-        return replace(fit, fits={**fit.fits, "block": base.fits["block"]})
+        no_better = replace(base.fits["block"], theta=fit.fits["long"].theta)
+        return replace(fit, fits={**fit.fits, "block": no_better})
     return replace(fit, fits={**fit.fits, "block": min(tried, key=lambda e: e.chi2)})
 
 

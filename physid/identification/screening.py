@@ -350,9 +350,6 @@ def _making_room(ground: Ground, response: np.ndarray) -> np.ndarray:
     return np.asarray(np.clip(moved, lower, upper))
 
 
-def shortlist(scored: Sequence[Scored], most: int, per_effect: int = 2) -> list[list[Scored]]:
-    """Group the best trials by effect and place: at most ``most`` groups of ``per_effect`` trials."""
-    groups: dict[tuple[str, Place], list[Scored]] = {}
-    for s in scored:
-        groups.setdefault((s.effect.name, s.place), []).append(s)
-    return [group[:per_effect] for group in list(groups.values())[:most]]
+def shortlist(scored: Sequence[Scored], most: int) -> list[tuple[str, Place]]:
+    """Return the first so many effects and places, in the order of their best scores."""
+    return list(dict.fromkeys((s.effect.name, s.place) for s in scored))[:most]

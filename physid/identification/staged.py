@@ -16,6 +16,8 @@ SHORT, LONG = 0.3, 1.5
 """Window lengths in typical periods of the motion."""
 FEWEST = 12
 """Windows that are kept however long they are."""
+LEAST_BEGINNING = 200
+"""Samples below which the beginning of a window is not fitted by itself."""
 ENOUGH = 5000
 """Samples used while a start is looked for."""
 Progress = Callable[[str, float], None]
@@ -185,6 +187,14 @@ def _in_pieces(windows: Windows, pieces: int) -> Windows:
 
 
 def states_only(problem: Problem, states: list[np.ndarray] | None = None) -> Estimate:
-    """Estimate the initial states alone, every parameter frozen."""
+    """Estimate the initial states alone, every parameter frozen.
+
+    Guessed ones are first fitted to the beginning of each window, which doubles until it is whole.
+    """
     frozen = replace(problem, parameters=())
+    for share in (16, 8, 4, 2) if states is None else ():
+        begun = [replace(w, samples=w.samples // share) for w in frozen.windows]
+        if min(w.samples for w in begun) < LEAST_BEGINNING:
+            continue
+        states = minimise(frozen.with_windows(begun), np.zeros(0), states, iterations=6).states
     return minimise(frozen, np.zeros(0), states, iterations=12, tolerance=1e-5)
