@@ -42,7 +42,7 @@ class Plant:
     """A model compiled at given values: what the two back ends simulate.
 
     ``delays`` (nu,) [s] and ``conditioners`` act on the input before the engine sees it.
-    ``time_constants`` (nactuator,) [s] are those of first-order actuators.  A plant of a family
+    ``time_constants`` (nactuator,) [s] are those of first-order actuators, else 0.  A plant of a family
     (:mod:`physid.plant.family`) carries its network, and compiles its ``source`` only for the engine.
     """
 
@@ -249,7 +249,11 @@ class Model:
                 for p in self.effects
                 if type(p.effect).condition is not Effect.condition
             ),
-            time_constants=np.asarray(model.actuator_dynprm[: model.nactuator, 0]),
+            time_constants=np.where(
+                model.actuator_dyntype == int(mujoco.mjtDyn.mjDYN_FILTER),
+                model.actuator_dynprm[:, 0],
+                0.0,
+            ),
         )
 
     def _elements(self, model: mujoco.MjModel, placed: Placed) -> tuple[Element, ...]:
