@@ -24,7 +24,8 @@ from physid.criticism.localisation import Latent, latent_forces, where
 from physid.errors import NumericsError
 from physid.identification.accuracy import with_substeps
 from physid.identification.fitting import Fitted, closing_balance, fit_study
-from physid.identification.output_error import Problem, minimise
+from physid.identification.output_error import minimise
+from physid.identification.problem import Problem
 from physid.identification.staged import ENOUGH, SHORT, thinned, windowed
 from physid.identification.study import Options, prepare
 from physid.plant.model import Model

@@ -26,13 +26,14 @@ from physid.criticism.comparison import (
     parameters_of,
 )
 from physid.criticism.diagnosis import NAMED, NAMED_BESIDE, Candidate, Diagnosis, diagnose_study
-from physid.criticism.evidence import start_of, with_candidate
 from physid.criticism.localisation import where
 from physid.criticism.pictures import diagnosis_curves, tested_curves
+from physid.criticism.refit import start_of, with_candidate
 from physid.effects.catalogue import load_model_text
 from physid.identification.accuracy import for_engine, with_substeps
 from physid.identification.fitting import FAR_WORSE, Fitted, fit_study
-from physid.identification.output_error import Estimate, Problem, minimise
+from physid.identification.output_error import minimise
+from physid.identification.problem import Estimate, Problem
 from physid.identification.staged import states_only
 from physid.identification.study import Options, Study, as_model, experiments_of, prepare
 from physid.identification.windows import whole

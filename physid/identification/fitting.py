@@ -12,7 +12,7 @@ from physid.errors import ModelError, NumericsError
 from physid.identification.accuracy import SHARE_OF_RESULT, as_engine, refine_steps
 from physid.identification.experiment import Experiment
 from physid.identification.force_balance import Balance, balance, observable, widths
-from physid.identification.output_error import Estimate, Problem, residuals_of
+from physid.identification.problem import Estimate, Problem, residuals_of
 from physid.identification.staged import (
     LONG,
     fit_growing,

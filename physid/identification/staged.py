@@ -9,7 +9,8 @@ import numpy as np
 
 from physid.errors import ConvergenceError, DivergedError, ModelError
 from physid.identification.force_balance import balance, observable, widths
-from physid.identification.output_error import Estimate, Problem, minimise
+from physid.identification.output_error import minimise
+from physid.identification.problem import Estimate, Problem
 from physid.identification.windows import Span, Windows, cut, typical_period, whole
 
 SHORT, LONG = 0.3, 1.5

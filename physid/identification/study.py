@@ -20,7 +20,8 @@ from physid.identification.experiment import (
 )
 from physid.identification.freedom import candidates, identifiable, named
 from physid.identification.noise import noise_level
-from physid.identification.output_error import Problem, minimise
+from physid.identification.output_error import minimise
+from physid.identification.problem import Problem
 from physid.identification.screening import screen
 from physid.identification.staged import (
     ENOUGH,
