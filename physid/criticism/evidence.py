@@ -8,6 +8,7 @@ import numpy as np
 from scipy.stats import norm
 
 from physid.criticism.refit import Base, Refit
+from physid.errors import NumericsError
 from physid.identification.linearisation import linearise
 from physid.identification.noise import correlation_time
 from physid.identification.problem import Estimate, Problem
@@ -37,19 +38,25 @@ def judge(judging: dict[str, Problem], base: Base, candidate: Refit) -> Judgemen
     base's residual is regressed on the difference the candidate makes, with what the base's own
     parameters could explain projected out of it; the regression's t-value uses a long-run variance
     (Bartlett kernel), so coloured residuals do not feign significance.  The smallest p-value over the
-    horizons, times their number, is reported.
+    horizons, times their number, is reported.  A horizon over which one of them diverges tells nothing.
     """
     p_values = []
-    shown: tuple[Problem, Estimate, Estimate] | None = None
+    shown: dict[str, tuple[Problem, Estimate, Estimate]] = {}
     for horizon, problem in judging.items():
         if horizon not in candidate.fits or horizon not in base.fits:
             continue
-        before, after, t_values = _compare(problem, base, candidate, horizon)
+        try:
+            before, after, t_values = _compare(problem, base, candidate, horizon)
+        except NumericsError:
+            continue
         p_values += [float(norm.sf(t)) for t in t_values]
-        if horizon == "long":
-            shown = (problem, before, after)
-    assert shown is not None
-    problem, before, after = shown
+        shown[horizon] = (problem, before, after)
+    if not shown:
+        blank = np.full(len(candidate.problem.sigma), np.nan)
+        return Judgement(
+            p_value=1.0, squares_before=np.inf, squares_after=np.inf, before=blank, after=blank
+        )
+    problem, before, after = shown.get("long") or next(iter(shown.values()))
     return Judgement(
         p_value=min(1.0, min(p_values) * len(p_values)),
         squares_before=before.squares,

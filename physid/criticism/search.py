@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import zip_longest
 
@@ -148,9 +149,13 @@ def _screened(
 ) -> list[list[Scored]]:
     """Screen on several grounds and join the shortlists, alternating.
 
-    What one ground proposes starts in the shapes that all of them see.
+    What one ground proposes starts in the shapes that all of them see.  A ground near which the
+    simulation diverges is none.
     """
-    screens = [screen(problem, fit, candidates, per_effect) for problem, fit in grounds]
+    screens = []
+    for problem, fit in grounds:
+        with suppress(NumericsError):
+            screens.append(screen(problem, fit, candidates, per_effect))
     chosen = dict.fromkeys(
         site for row in zip_longest(*(shortlist(s, most) for s in screens)) for site in row if site
     )
