@@ -1,0 +1,74 @@
+"""The unbiased criterion: the tuned loop itself against the desired one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from physid.tuning.fictitious import Quadratic, compress
+from physid.tuning.loop import LinearPlant
+from physid.tuning.response import Response
+
+Array = npt.NDArray[np.float64]
+Complex = npt.NDArray[np.complex128]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Matching:
+    r"""J(F) = sum over frequencies of |C (H_d - H (I + T(F))^-1)|^2, beyond the thesis.
+
+    The fictitious cost weighs this misfit by I + T, the change of the loop itself, and so prefers
+    gains that make 1 + T small where H_d is far; here nothing is weighed.
+
+    Parameters
+    ----------
+    response, desired : ndarray, shape (k, n, m)
+        H and H_d on one grid of the unit circle.
+    outputs : ndarray, shape (p, n)
+        C.
+    gain : ndarray, shape (m, n)
+        F0.
+    """
+
+    response: Complex
+    desired: Complex
+    outputs: Array
+    gain: Array
+
+    def value(self, gain: Array) -> float:
+        """Return the root of the mean over the grid of the squared misfit."""
+        return float(np.sqrt(np.mean(np.abs(self._misfit(gain)[0]) ** 2)))
+
+    def around(self, gain: Array) -> Quadratic:
+        """Linearise the misfit: the quadratic cost of Gauss and Newton, of the next gain itself."""
+        misfit, loop = self._misfit(gain)
+        # d(H S^-1) = -H S^-1 dF H S^-1
+        slope = np.einsum("kpj,kil->kplji", self.outputs @ loop, loop)
+        rows = slope.reshape(-1, gain.size)
+        target = rows @ gain.ravel() - misfit.ravel()
+        scale = 1.0 / np.sqrt(misfit.size)
+        return compress(
+            scale * np.concatenate([rows.real, rows.imag]),
+            scale * np.concatenate([target.real, target.imag]),
+        )
+
+    def _misfit(self, gain: Array) -> tuple[Complex, Complex]:
+        """Return C (H_d - H S^-1) and the loop H S^-1 itself."""
+        s = np.eye(len(gain)) + (gain - self.gain) @ self.response
+        loop = self.response @ np.linalg.inv(s)
+        return self.outputs @ (self.desired - loop), loop
+
+
+def matching(
+    response: Response, desired: LinearPlant, outputs: Array, points: int = 4096
+) -> Matching:
+    """Prepare the unbiased criterion on an even grid of the unit circle."""
+    grid = response.fine_grid(points=max(points, 1 << int(np.ceil(np.log2(len(response.impulse))))))
+    return Matching(
+        response=grid.response,
+        desired=desired.frequency_response(grid.angle),
+        outputs=outputs,
+        gain=response.gain,
+    )

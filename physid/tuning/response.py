@@ -1,0 +1,219 @@
+"""What the record says of the loop: responses on a circle, with the error that noise leaves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from physid.tuning.experiment import Experiment
+from physid.tuning.intergrid import Envelope, decay_rate, envelope
+from physid.tuning.spectra import impulse_response, short_impulse_response
+
+Array = npt.NDArray[np.float64]
+Complex = npt.NDArray[np.complex128]
+
+NEGLIGIBLE = 1e-13
+"""Size of an impulse response, relative to its peak, below which it is rounding."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Grid:
+    """H on points of a circle |z| = r, from angle 0 to at least pi.
+
+    Parameters
+    ----------
+    angle : ndarray, shape (k,)
+        rad per sample, evenly spaced.
+    response : ndarray, shape (k, n, m)
+        From v to x.
+    spread : ndarray, shape (k, m, n, n)
+        Factors C with C C' the covariance of a column of the response; zero without noise.
+    """
+
+    angle: Array
+    response: Complex
+    spread: Complex
+
+    @property
+    def spacing(self) -> float:
+        """Distance of neighbours, rad per sample."""
+        return float(self.angle[1] - self.angle[0])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Response:
+    """The closed loop with F0, from v to the states.
+
+    Parameters
+    ----------
+    impulse : ndarray, shape (L, n, m)
+        Estimated impulse response.
+    gain : ndarray, shape (m, n)
+        F0.
+    dt : float
+        Sampling interval, s.
+    period : int
+        N, samples per period of the excitation.
+    noise : ndarray, shape (b, c, n)
+        Blocks of c samples of the noise in the states, scaled as errors of one impulse response.
+    power : ndarray, shape (m,)
+        Sum of v^2 over what was averaged, per input.
+    rate : float
+        B of the envelope.
+    """
+
+    impulse: Array
+    gain: Array
+    dt: float
+    period: int
+    noise: Array
+    power: Array
+    rate: float
+
+    @property
+    def blocks(self) -> int:
+        """Independent blocks that the noise was measured with."""
+        return len(self.noise)
+
+    @property
+    def noisy(self) -> bool:
+        """Whether noise beyond rounding is in the estimate."""
+        level = np.sqrt(np.mean(self.noise**2) * len(self.impulse) / self.power.min())
+        return bool(level > 1e-9 * np.abs(self.impulse).max())
+
+    def thesis_grid(self, radius: float = 1.0) -> Grid:
+        """Return H at 2 pi k / N, k = 0 to (N + 1) // 2: DC, and one point at or past Nyquist."""
+        return self._grid(self.period, (self.period + 1) // 2 + 1, radius)
+
+    def fine_grid(self, radius: float = 1.0, points: int | None = None) -> Grid:
+        """Return H from DC to Nyquist, by default eight times finer than its own length needs."""
+        size = points or 1 << int(np.ceil(np.log2(8 * len(self.impulse))))
+        return self._grid(size, size // 2 + 1, radius)
+
+    def _grid(self, size: int, count: int, radius: float) -> Grid:
+        response = _transform(damped(self.impulse, radius), size)[:count]
+        return Grid(
+            angle=2.0 * np.pi * np.arange(count) / size,
+            response=response,
+            spread=self._spread(size, count, radius),
+        )
+
+    def _spread(self, size: int, count: int, radius: float) -> Complex:
+        """Return factors of the errors' covariance from the blocks' periodograms."""
+        n, m = self.impulse.shape[1:]
+        bits = np.array([_transform(b, size)[:count] for b in self.noise])
+        cross = np.einsum("bki,bkj->kij", bits, bits.conj()) / max(self.blocks, 1)
+        values, vectors = np.linalg.eigh(cross)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+        growth = radius ** (-float(len(self.impulse)))
+        return np.asarray(root[:, None] * (growth / np.sqrt(self.power))[None, :, None, None])
+
+    def envelope(self, gain: Array, radius: float = 1.0) -> Envelope:
+        """Bound the impulse response of T(F) = (F - F0) H on a circle, eq. (6.10)."""
+        path = np.einsum("ij,tjm->tim", gain - self.gain, damped(self.impulse, radius))
+        return envelope(path, 1.0 + 0.999 * (self.rate * radius - 1.0))
+
+
+def damped(impulse: Array, radius: float) -> Array:
+    """Multiply an impulse response by r^-t: its transform is then that on |z| = r."""
+    if radius == 1.0:
+        return impulse
+    return np.asarray(impulse * (radius ** -np.arange(float(len(impulse))))[:, None, None])
+
+
+def _transform(values: Array, size: int) -> Complex:
+    """Transform (t, ...) at 2 pi k / size, exactly also where t exceeds size."""
+    rows = -(-len(values) // size) * size
+    padded = np.concatenate([values, np.zeros((rows - len(values), *values.shape[1:]))])
+    folded = padded.reshape(-1, size, *values.shape[1:]).sum(axis=0)
+    return np.asarray(np.fft.fft(folded, axis=0))
+
+
+def measure(experiment: Experiment) -> Response:
+    """Estimate the loop's response and its uncertainty from an experiment.
+
+    Parameters
+    ----------
+    experiment : Experiment
+
+    Returns
+    -------
+    Response
+
+    Raises
+    ------
+    InputError
+        If the inputs are not persistently exciting.
+
+    Notes
+    -----
+    Where the impulse response sinks into the noise before half a period, only the lags above are
+    kept and fitted by least squares. The noise is then what remains; otherwise it is what differs
+    between the last two periods, in their second halves.
+    """
+    v, x = (experiment.settled(s) for s in (experiment.excitation, experiment.states))
+    raw = impulse_response(v, x)
+    noise = _between_periods(experiment)
+    lags = memory(raw, noise, v)
+    if lags <= experiment.period // 2 and _noisy(raw, noise, v):
+        kept = short_impulse_response(v, x, lags)
+        left = _residual(v, x, kept)
+        blocks = _blocks(left / np.sqrt(1.0 - lags / experiment.period), lags)
+    else:
+        kept = raw[:lags]
+        blocks = _blocks(noise / np.sqrt(experiment.periods - 1.0), lags)
+    return Response(
+        impulse=kept,
+        gain=experiment.gain,
+        dt=experiment.dt,
+        period=experiment.period,
+        noise=blocks,
+        power=np.asarray((v**2).sum(axis=(0, 1))),
+        rate=decay_rate(kept),
+    )
+
+
+def _between_periods(experiment: Experiment) -> Array:
+    """Return the noise (e, t, n) that differs between the last two periods' second halves."""
+    half, period = experiment.period // 2, experiment.period
+    x = experiment.states
+    return np.asarray((x[:, -half:] - x[:, -half - period : -period]) / np.sqrt(2.0))
+
+
+def _error_level(noise: Array, v: Array) -> Array:
+    """Return the standard error (n, m) of a raw impulse response, noise taken as white."""
+    power = (v**2).sum(axis=(0, 1))
+    return np.asarray(noise.std(axis=(0, 1))[:, None] / np.sqrt(power)[None])
+
+
+def _noisy(raw: Array, noise: Array, v: Array) -> bool:
+    return bool(np.any(_error_level(noise, v) > NEGLIGIBLE * 1e3 * np.abs(raw).max(axis=0)))
+
+
+def memory(raw: Array, noise: Array, v: Array) -> int:
+    """Return after how many lags an impulse response (N, n, m) is below noise and rounding."""
+    count = len(raw)
+    floor = np.maximum(_error_level(noise, v), NEGLIGIBLE * np.abs(raw).max(axis=0))
+    left = np.cumsum(raw[::-1] ** 2, axis=0)[::-1]
+    number = np.arange(count, 0, -1.0)[:, None, None]
+    above = np.any(left > number * floor**2 * (1.0 + 4.0 * np.sqrt(2.0 / number)), axis=(1, 2))
+    last = int(np.flatnonzero(above)[-1]) + 1 if above.any() else 1
+    return int(min(count, max(16, round(1.2 * last))))
+
+
+def _residual(v: Array, x: Array, impulse: Array) -> Array:
+    """Return x less what the impulse response explains, over a period (e, N, n)."""
+    period = v.shape[1]
+    response = np.fft.fft(impulse, period, axis=0)
+    explained = np.fft.ifft(np.einsum("knm,ekm->ekn", response, np.fft.fft(v, axis=1)), axis=1)
+    return np.asarray(x - explained.real)
+
+
+def _blocks(noise: Array, lags: int) -> Array:
+    """Cut noise (e, t, n) into blocks of the response's length, scaled to one block's energy."""
+    size = min(lags, noise.shape[1] // 8)
+    count = noise.shape[1] // size
+    cut = noise[:, : count * size].reshape(-1, size, noise.shape[2])
+    return np.asarray(cut * np.sqrt(lags / size))
