@@ -69,8 +69,8 @@ class Judge:
     ----------
     response : Response
     margins : Margins
-    grid : Grid
-        On the circle of the margins, fine.
+    grid, coarse : Grid
+        On the circle of the margins: fine, to certify, and the thesis's, to constrain.
     factor : float
         Standard errors of the noise at the margins' confidence.
     """
@@ -78,6 +78,7 @@ class Judge:
     response: Response
     margins: Margins
     grid: Grid
+    coarse: Grid
     factor: float
 
     def certify(self, gain: Array) -> Certificate:
@@ -158,6 +159,7 @@ def make_judge(response: Response, margins: Margins) -> Judge:
         response=response,
         margins=margins,
         grid=grid,
+        coarse=response.thesis_grid(margins.radius),
         factor=noise_factor(response, margins.confidence, len(grid.angle)),
     )
 

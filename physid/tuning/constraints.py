@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -77,16 +77,15 @@ class Move:
     margins : Margins
     factor : float
         What standard errors of the noise are multiplied by.
+    grid : Grid
+        H on the thesis's grid, on the circle of the margins.
     """
 
     response: Response
     gain: Array
     margins: Margins
     factor: float
-
-    def grid(self) -> Grid:
-        """Return H on the thesis's grid, on the circle of the margin."""
-        return self.response.thesis_grid(self.margins.radius)
+    grid: Grid
 
 
 class Constraint(ABC):
@@ -132,13 +131,7 @@ class SmallGain(Constraint):
 
     def inequalities(self, move: Move) -> Inequalities:
         """Return a disc around F0 at every grid point."""
-        start = Move(
-            response=move.response,
-            gain=move.response.gain,
-            margins=move.margins,
-            factor=move.factor,
-        )
-        return _discs(start, self.share)
+        return _discs(replace(move, gain=move.response.gain), self.share)
 
 
 @final
@@ -268,7 +261,7 @@ class _Parts:
 
     @classmethod
     def of(cls, move: Move, *, both: bool = False, first: int = 0) -> _Parts:
-        grid, start = move.grid(), move.response.gain
+        grid, start = move.grid, move.response.gain
         h = grid.response
         t = (move.gain - start) @ h
         s = np.eye(t.shape[-1]) + t

@@ -103,6 +103,8 @@ class Response:
     def _spread(self, size: int, count: int, radius: float) -> Complex:
         """Return factors of the errors' covariance from the blocks' periodograms."""
         n, m = self.impulse.shape[1:]
+        if not self.noisy:
+            return np.zeros((count, m, n, n), dtype=np.complex128)
         bits = np.array([_transform(b, size)[:count] for b in self.noise])
         cross = np.einsum("bki,bkj->kij", bits, bits.conj()) / max(self.blocks, 1)
         values, vectors = np.linalg.eigh(cross)
@@ -150,12 +152,11 @@ def measure(experiment: Experiment) -> Response:
     Notes
     -----
     Where the impulse response sinks into the noise before half a period, only the lags above are
-    kept and fitted by least squares. The noise is then what remains; otherwise it is what differs
-    between the last two periods, in their second halves.
+    kept and fitted by least squares. The noise is then what remains; otherwise see `noise_of`.
     """
     v, x = (experiment.settled(s) for s in (experiment.excitation, experiment.states))
     raw = impulse_response(v, x)
-    noise = _between_periods(experiment)
+    noise = noise_of(experiment, raw)
     lags = memory(raw, noise, v)
     if lags <= experiment.period // 2 and _noisy(raw, noise, v):
         kept = short_impulse_response(v, x, lags)
@@ -175,11 +176,31 @@ def measure(experiment: Experiment) -> Response:
     )
 
 
-def _between_periods(experiment: Experiment) -> Array:
-    """Return the noise (e, t, n) that differs between the last two periods' second halves."""
+def noise_of(experiment: Experiment, raw: Array) -> Array:
+    """Measure the noise (e, t, n) by what the first period does differently from the others.
+
+    Either the transient has died in the second half, or the loop started at rest and the impulse
+    response `raw` tells the transient: whichever leaves less.
+    """
     half, period = experiment.period // 2, experiment.period
     x = experiment.states
-    return np.asarray((x[:, -half:] - x[:, -half - period : -period]) / np.sqrt(2.0))
+    late = (x[:, -half:] - x[:, -half - period : -period]) / np.sqrt(2.0)
+    first = x.shape[1] - experiment.periods * period
+    told = _from_rest(experiment.excitation[:, : first + period], raw)
+    early = (x[:, : first + period] - told) / np.sqrt(2.0)
+    return late if np.mean(late**2) <= np.mean(early**2) else np.asarray(early)
+
+
+def _from_rest(v: Array, impulse: Array) -> Array:
+    """Return the states (e, t, n) from rest under inputs (e, t, m)."""
+    from scipy.signal import fftconvolve
+
+    count, (n, m) = v.shape[1], impulse.shape[1:]
+    told = np.zeros((len(v), count, n))
+    for i in range(n):
+        for j in range(m):
+            told[:, :, i] += fftconvolve(v[:, :, j], impulse[None, :, i, j], axes=1)[:, :count]
+    return told
 
 
 def _error_level(noise: Array, v: Array) -> Array:
@@ -195,6 +216,8 @@ def _noisy(raw: Array, noise: Array, v: Array) -> bool:
 def memory(raw: Array, noise: Array, v: Array) -> int:
     """Return after how many lags an impulse response (N, n, m) is below noise and rounding."""
     count = len(raw)
+    # An M-sequence has next to no power at DC, so noise there lifts all lags alike.
+    raw = raw - raw[count // 2 :].mean(axis=0)
     floor = np.maximum(_error_level(noise, v), NEGLIGIBLE * np.abs(raw).max(axis=0))
     left = np.cumsum(raw[::-1] ** 2, axis=0)[::-1]
     number = np.arange(count, 0, -1.0)[:, None, None]

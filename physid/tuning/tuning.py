@@ -180,7 +180,13 @@ def _next(
     cost: Quadratic | Matching, rule: Constraint, judge: Judge, gain: Array, safeguard: bool
 ) -> Array | None:
     """Return the next gain, None where the constraint or the safeguard leaves none."""
-    move = Move(response=judge.response, gain=gain, margins=judge.margins, factor=judge.factor)
+    move = Move(
+        response=judge.response,
+        gain=gain,
+        margins=judge.margins,
+        factor=judge.factor,
+        grid=judge.coarse,
+    )
     quadratic = cost if isinstance(cost, Quadratic) else cost.around(gain)
     wanted = minimise(quadratic, rule.inequalities(move), gain)
     if wanted is None:
