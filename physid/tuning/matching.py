@@ -17,10 +17,11 @@ Complex = npt.NDArray[np.complex128]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Matching:
-    r"""J(F) = sum over frequencies of |C (H_d - H (I + T(F))^-1)|^2, beyond the thesis.
+    r"""J(F) = sum over frequencies of |C (H_d - H (I + T(F))^-1) w|^2, beyond the thesis.
 
-    The fictitious cost weighs this misfit by I + T, the change of the loop itself, and so prefers
-    gains that make 1 + T small where H_d is far; here nothing is weighed.
+    By default w is the spectrum of a unit step: J is the error of the step response, the step taken
+    to last the grid's length. The fictitious cost weighs this misfit by I + T, the change of the loop itself, and so prefers
+    gains that make 1 + T small where H_d is far; here the loop itself is compared.
 
     Parameters
     ----------
@@ -30,12 +31,15 @@ class Matching:
         C.
     gain : ndarray, shape (m, n)
         F0.
+    weight : ndarray, shape (k,)
+        w.
     """
 
     response: Complex
     desired: Complex
     outputs: Array
     gain: Array
+    weight: Array
 
     def value(self, gain: Array) -> float:
         """Return the root of the mean over the grid of the squared misfit."""
@@ -45,7 +49,8 @@ class Matching:
         """Linearise the misfit: the quadratic cost of Gauss and Newton, of the next gain itself."""
         misfit, loop = self._misfit(gain)
         # d(H S^-1) = -H S^-1 dF H S^-1
-        slope = np.einsum("kpj,kil->kplji", self.outputs @ loop, loop)
+        weighted = self.weight[:, None, None] * (self.outputs @ loop)
+        slope = np.einsum("kpj,kil->kplji", weighted, loop)
         rows = slope.reshape(-1, gain.size)
         target = rows @ gain.ravel() - misfit.ravel()
         scale = 1.0 / np.sqrt(misfit.size)
@@ -58,7 +63,7 @@ class Matching:
         """Return C (H_d - H S^-1) and the loop H S^-1 itself."""
         s = np.eye(len(gain)) + (gain - self.gain) @ self.response
         loop = self.response @ np.linalg.inv(s)
-        return self.outputs @ (self.desired - loop), loop
+        return self.weight[:, None, None] * (self.outputs @ (self.desired - loop)), loop
 
 
 def matching(
@@ -71,4 +76,5 @@ def matching(
         desired=desired.frequency_response(grid.angle),
         outputs=outputs,
         gain=response.gain,
+        weight=1.0 / np.maximum(np.abs(1.0 - np.exp(1j * grid.angle)), grid.spacing),
     )

@@ -16,6 +16,8 @@ Complex = npt.NDArray[np.complex128]
 
 NEGLIGIBLE = 1e-13
 """Size of an impulse response, relative to its peak, below which it is rounding."""
+LOUD = 6.0
+"""Energy of a stretch, relative to noise alone, at which it holds more than noise."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -156,21 +158,19 @@ def measure(experiment: Experiment) -> Response:
     """
     v, x = (experiment.settled(s) for s in (experiment.excitation, experiment.states))
     raw = impulse_response(v, x)
-    noise = noise_of(experiment, raw)
-    lags = memory(raw, noise, v)
-    if lags <= experiment.period // 2 and _noisy(raw, noise, v):
+    lags = memory(raw)
+    if lags <= experiment.period // 2:
         kept = short_impulse_response(v, x, lags)
-        left = _residual(v, x, kept)
-        blocks = _blocks(left / np.sqrt(1.0 - lags / experiment.period), lags)
+        left = _residual(v, x, kept) / np.sqrt(1.0 - lags / experiment.period)
     else:
-        kept = raw[:lags]
-        blocks = _blocks(noise / np.sqrt(experiment.periods - 1.0), lags)
+        kept = raw
+        left = noise_of(experiment, raw) / np.sqrt(experiment.periods - 1.0)
     return Response(
         impulse=kept,
         gain=experiment.gain,
         dt=experiment.dt,
         period=experiment.period,
-        noise=blocks,
+        noise=_blocks(left, len(kept)),
         power=np.asarray((v**2).sum(axis=(0, 1))),
         rate=decay_rate(kept),
     )
@@ -203,27 +203,23 @@ def _from_rest(v: Array, impulse: Array) -> Array:
     return told
 
 
-def _error_level(noise: Array, v: Array) -> Array:
-    """Return the standard error (n, m) of a raw impulse response, noise taken as white."""
-    power = (v**2).sum(axis=(0, 1))
-    return np.asarray(noise.std(axis=(0, 1))[:, None] / np.sqrt(power)[None])
+def memory(raw: Array) -> int:
+    """Return after how many lags an impulse response (N, n, m) has sunk into its noise.
 
-
-def _noisy(raw: Array, noise: Array, v: Array) -> bool:
-    return bool(np.any(_error_level(noise, v) > NEGLIGIBLE * 1e3 * np.abs(raw).max(axis=0)))
-
-
-def memory(raw: Array, noise: Array, v: Array) -> int:
-    """Return after how many lags an impulse response (N, n, m) is below noise and rounding."""
+    Energies of short stretches are compared with their median over the second half of the period,
+    in which only noise, or rounding, is left of a loop that forgets within half a period.
+    """
     count = len(raw)
+    size = max(8, count // 64)
     # An M-sequence has next to no power at DC, so noise there lifts all lags alike.
-    raw = raw - raw[count // 2 :].mean(axis=0)
-    floor = np.maximum(_error_level(noise, v), NEGLIGIBLE * np.abs(raw).max(axis=0))
-    left = np.cumsum(raw[::-1] ** 2, axis=0)[::-1]
-    number = np.arange(count, 0, -1.0)[:, None, None]
-    above = np.any(left > number * floor**2 * (1.0 + 4.0 * np.sqrt(2.0 / number)), axis=(1, 2))
-    last = int(np.flatnonzero(above)[-1]) + 1 if above.any() else 1
-    return int(min(count, max(16, round(1.2 * last))))
+    centred = raw - raw[count // 2 :].mean(axis=0)
+    cut = centred[: count // size * size].reshape(-1, size, *raw.shape[1:])
+    energy = np.mean(cut**2, axis=1)
+    floor = np.median(energy[len(energy) // 2 :], axis=0)
+    least = (NEGLIGIBLE * np.abs(raw).max(axis=0)) ** 2
+    above = np.any(energy > LOUD * np.maximum(floor, least), axis=(1, 2))
+    last = int(np.flatnonzero(above[: len(above) // 2 + 1])[-1]) + 1 if above.any() else 1
+    return int(min(count, (last + 1) * size))
 
 
 def _residual(v: Array, x: Array, impulse: Array) -> Array:
