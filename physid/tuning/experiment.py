@@ -35,6 +35,9 @@ class Experiment:
         Sampling interval, s.
     period : int
         Samples per period of v.
+    outputs : ndarray, shape (e, t, p), optional
+        What is to follow the desired response, where that is no combination of the states: with an
+        observer, the measured outputs.
 
     Raises
     ------
@@ -53,9 +56,12 @@ class Experiment:
     gain: Array
     dt: float
     period: int
+    outputs: Array | None = None
 
     def __post_init__(self) -> None:
-        for name in ("states", "inputs", "gain"):
+        for name in ("states", "inputs", "gain", "outputs"):
+            if getattr(self, name) is None:
+                continue
             copy = np.array(getattr(self, name), dtype=np.float64)
             copy.setflags(write=False)
             object.__setattr__(self, name, copy)
@@ -196,6 +202,11 @@ def _check_shapes(it: Experiment) -> None:
             "channels) with the same runs and samples."
         )
     checked_gain(it.gain, u.shape[2], x.shape[2])
+    if it.outputs is not None and it.outputs.shape[:2] != x.shape[:2]:
+        raise InputError(
+            f"The outputs {it.outputs.shape} do not agree with the states {x.shape}: both need the "
+            "same runs and samples."
+        )
     if not (np.isfinite(x).all() and np.isfinite(u).all()):
         raise InputError(
             "The states and inputs must be finite, but some are not: the loop diverged, or rows "

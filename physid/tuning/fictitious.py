@@ -90,19 +90,22 @@ def fictitious_cost(experiment: Experiment, desired: LinearPlant, outputs: Array
             f"The desired loop has {len(desired.a)} states and {desired.b.shape[1]} inputs, but the "
             f"record {n} and {m}: describe the same plant in both."
         )
+    x = experiment.states
+    y = x @ outputs.T if experiment.outputs is None else experiment.outputs
     rows = [
-        _rows(x, u, desired, outputs)
-        for x, u in zip(experiment.states, experiment.inputs, strict=True)
+        _rows(x[e], experiment.inputs[e], y[e], desired, outputs) for e in range(len(experiment.states))
     ]
     return compress(np.vstack([w for w, _ in rows]), np.concatenate([g for _, g in rows]))
 
 
-def _rows(x: Array, u: Array, desired: LinearPlant, outputs: Array) -> tuple[Array, Array]:
+def _rows(
+    x: Array, u: Array, y: Array, desired: LinearPlant, outputs: Array
+) -> tuple[Array, Array]:
     """Return W and gamma of one run, eq. (2.13)."""
     columns = [
         (respond(desired.a, desired.b[:, [j]], x[:, [i]]) @ outputs.T).ravel()
         for j in range(u.shape[1])
         for i in range(x.shape[1])
     ]
-    target = (x - respond(desired.a, desired.b, u)) @ outputs.T
+    target = y - respond(desired.a, desired.b, u) @ outputs.T
     return np.column_stack(columns), target.ravel()

@@ -99,6 +99,33 @@ def respond(a: Array, b: Array, inputs: Array, start: Array | None = None) -> Ar
     return np.asarray(rows[:, :-1].reshape(-1, n)[: len(inputs)])
 
 
+def excited(
+    plant: LinearPlant, gain: Array, excitation: Array, noise: Array | None = None
+) -> tuple[Array, Array]:
+    """Run the loop u = -F (x + noise) + v from rest.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+    gain : ndarray, shape (m, n)
+        F.
+    excitation : ndarray, shape (t, m)
+        v.
+    noise : ndarray, shape (t, n), optional
+        Errors of the sensors.
+
+    Returns
+    -------
+    (ndarray, ndarray), shapes (t, n) and (t, m)
+        x as measured, and u.
+    """
+    errors = np.zeros((len(excitation), len(plant.a))) if noise is None else noise
+    loop = plant.closed(gain)
+    drive = np.hstack([plant.b, -plant.b @ gain])
+    measured = respond(loop.a, drive, np.hstack([excitation, errors])) + errors
+    return measured, excitation - measured @ gain.T
+
+
 def _chunk(a: Array, b: Array) -> tuple[Array, Array]:
     """Return how a state and CHUNK inputs make the CHUNK + 1 states from there on."""
     n, m = b.shape

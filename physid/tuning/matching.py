@@ -25,10 +25,10 @@ class Matching:
 
     Parameters
     ----------
-    response, desired : ndarray, shape (k, n, m)
-        H and H_d on one grid of the unit circle.
-    outputs : ndarray, shape (p, n)
-        C.
+    response : ndarray, shape (k, n, m)
+        H, from v to the states, on a grid of the unit circle.
+    outputs, desired : ndarray, shape (k, p, m)
+        C H and C H_d on the same grid.
     gain : ndarray, shape (m, n)
         F0.
     weight : ndarray, shape (k,)
@@ -36,8 +36,8 @@ class Matching:
     """
 
     response: Complex
+    outputs: Complex
     desired: Complex
-    outputs: Array
     gain: Array
     weight: Array
 
@@ -47,10 +47,9 @@ class Matching:
 
     def around(self, gain: Array) -> Quadratic:
         """Linearise the misfit: the quadratic cost of Gauss and Newton, of the next gain itself."""
-        misfit, loop = self._misfit(gain)
-        # d(H S^-1) = -H S^-1 dF H S^-1
-        weighted = self.weight[:, None, None] * (self.outputs @ loop)
-        slope = np.einsum("kpj,kil->kplji", weighted, loop)
+        misfit, own, loop = self._misfit(gain)
+        # d(C H S^-1) = -C H S^-1 dF H S^-1
+        slope = np.einsum("kpj,kil->kplji", self.weight[:, None, None] * own, loop)
         rows = slope.reshape(-1, gain.size)
         target = rows @ gain.ravel() - misfit.ravel()
         scale = 1.0 / np.sqrt(misfit.size)
@@ -59,11 +58,12 @@ class Matching:
             scale * np.concatenate([target.real, target.imag]),
         )
 
-    def _misfit(self, gain: Array) -> tuple[Complex, Complex]:
-        """Return C (H_d - H S^-1) and the loop H S^-1 itself."""
+    def _misfit(self, gain: Array) -> tuple[Complex, Complex, Complex]:
+        """Return the weighed misfit, the outputs C H S^-1 and the states H S^-1 of the loop."""
         s = np.eye(len(gain)) + (gain - self.gain) @ self.response
-        loop = self.response @ np.linalg.inv(s)
-        return self.weight[:, None, None] * (self.outputs @ (self.desired - loop)), loop
+        inverse = np.linalg.inv(s)
+        own = self.outputs @ inverse
+        return self.weight[:, None, None] * (self.desired - own), own, self.response @ inverse
 
 
 def matching(
@@ -73,8 +73,8 @@ def matching(
     grid = response.fine_grid(points=max(points, 1 << int(np.ceil(np.log2(len(response.impulse))))))
     return Matching(
         response=grid.response,
-        desired=desired.frequency_response(grid.angle),
-        outputs=outputs,
+        outputs=response.outputs_at(grid, outputs),
+        desired=outputs @ desired.frequency_response(grid.angle),
         gain=response.gain,
         weight=1.0 / np.maximum(np.abs(1.0 - np.exp(1j * grid.angle)), grid.spacing),
     )

@@ -64,6 +64,8 @@ class Response:
         Sum of v^2 over what was averaged, per input.
     rate : float
         B of the envelope.
+    outputs : ndarray, shape (L, p, m), or None
+        Impulse response of the experiment's own outputs.
     """
 
     impulse: Array
@@ -73,6 +75,7 @@ class Response:
     noise: Array
     power: Array
     rate: float
+    outputs: Array | None = None
 
     @property
     def blocks(self) -> int:
@@ -93,6 +96,13 @@ class Response:
         """Return H from DC to Nyquist, by default eight times finer than its own length needs."""
         size = points or 1 << int(np.ceil(np.log2(8 * len(self.impulse))))
         return self._grid(size, size // 2 + 1, radius)
+
+    def outputs_at(self, grid: Grid, outputs: Array) -> Complex:
+        """Return the response of the outputs, C times the states or their own, (k, p, m), |z| = 1."""
+        if self.outputs is None:
+            return np.asarray(outputs @ grid.response)
+        size = round(2.0 * np.pi / grid.spacing)
+        return _transform(self.outputs, size)[: len(grid.angle)]
 
     def _grid(self, size: int, count: int, radius: float) -> Grid:
         response = _transform(damped(self.impulse, radius), size)[:count]
@@ -173,7 +183,18 @@ def measure(experiment: Experiment) -> Response:
         noise=_blocks(left, len(kept)),
         power=np.asarray((v**2).sum(axis=(0, 1))),
         rate=decay_rate(kept),
+        outputs=_outputs(experiment, v, len(kept)),
     )
+
+
+def _outputs(experiment: Experiment, v: Array, lags: int) -> Array | None:
+    """Estimate the impulse response of the experiment's own outputs, as long as the states'."""
+    if experiment.outputs is None:
+        return None
+    y = experiment.settled(experiment.outputs)
+    if lags == experiment.period:
+        return impulse_response(v, y)
+    return short_impulse_response(v, y, lags)
 
 
 def noise_of(experiment: Experiment, raw: Array) -> Array:
