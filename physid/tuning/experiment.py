@@ -71,7 +71,7 @@ class Experiment:
 
     @property
     def excitation(self) -> Array:
-        """v = u + F0 x, shape (e, t, m), eq. (2.5)."""
+        """The excitation v = u + F0 x, shape (e, t, m), eq. (2.5)."""
         return np.asarray(self.inputs + self.states @ self.gain.T)
 
     @property

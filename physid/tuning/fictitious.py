@@ -84,7 +84,7 @@ def fictitious_cost(experiment: Experiment, desired: LinearPlant, outputs: Array
     InputError
         If the shapes disagree or the record does not determine the gain.
     """
-    n, m = experiment.gain.shape[::-1]
+    m, n = experiment.gain.shape
     if desired.a.shape != (n, n) or desired.b.shape != (n, m) or outputs.shape[1:] != (n,):
         raise InputError(
             f"The desired loop has {len(desired.a)} states and {desired.b.shape[1]} inputs, but the "
@@ -93,7 +93,8 @@ def fictitious_cost(experiment: Experiment, desired: LinearPlant, outputs: Array
     x = experiment.states
     y = x @ outputs.T if experiment.outputs is None else experiment.outputs
     rows = [
-        _rows(x[e], experiment.inputs[e], y[e], desired, outputs) for e in range(len(experiment.states))
+        _rows(x[e], experiment.inputs[e], y[e], desired, outputs)
+        for e in range(len(experiment.states))
     ]
     return compress(np.vstack([w for w, _ in rows]), np.concatenate([g for _, g in rows]))
 

@@ -36,7 +36,7 @@ class Sway:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Inequalities:
-    r"""For every j, with X_j = F A_j - C_j and s_j = w_j (delta(F) + epsilon_j(F)):
+    r"""Inequalities with X_j = F A_j - C_j and s_j = w_j (delta(F) + epsilon_j(F)).
 
     .. math:: \sigma_{max}(X_j) + s_j \le \rho_j \quad\text{or}\quad
         \lambda_{min}\tfrac 1 2 (2 I + X_j + X_j^*) \ge s_j + \rho_j

@@ -20,8 +20,8 @@ class Matching:
     r"""J(F) = sum over frequencies of |C (H_d - H (I + T(F))^-1) w|^2, beyond the thesis.
 
     By default w is the spectrum of a unit step: J is the error of the step response, the step taken
-    to last the grid's length. The fictitious cost weighs this misfit by I + T, the change of the loop itself, and so prefers
-    gains that make 1 + T small where H_d is far; here the loop itself is compared.
+    to last the grid's length. The fictitious cost weighs this misfit by I + T, the change of the
+    loop itself, and so prefers gains that make I + T small; here the loop itself is compared.
 
     Parameters
     ----------

@@ -43,15 +43,17 @@ class Observer:
     def estimate(self, inputs: Array, measured: Array) -> Array:
         """Return x^, shape (t, n), from u (t, m) and y (t, p), from rest."""
         a = self.plant.a - self.correction @ self.outputs
-        return respond(
-            a, np.hstack([self.plant.b, self.correction]), np.hstack([inputs, measured])
-        )
+        return respond(a, np.hstack([self.plant.b, self.correction]), np.hstack([inputs, measured]))
 
 
 def design_observer(
-    plant: LinearPlant, outputs: Array, *, process: float = 1.0, noise: Array | float = 1e-3
+    plant: LinearPlant,
+    outputs: Array,
+    *,
+    disturbance: Array | None = None,
+    noise: Array | float = 1e-2,
 ) -> Observer:
-    """Design a steady Kalman filter for a plant whose inputs are disturbed.
+    """Design a steady Kalman filter for a disturbed plant.
 
     Parameters
     ----------
@@ -59,8 +61,10 @@ def design_observer(
         Nominal.
     outputs : ndarray, shape (p, n)
         C.
-    process : float
-        Standard deviation of the disturbance that acts like an input [unit of the input].
+    disturbance : ndarray, shape (n, g), optional
+        How independent disturbances of unit variance move the states in a sample; by default as
+        the inputs do. Disturbances of every acceleration make an observer that trusts the nominal
+        model less.
     noise : float or ndarray, shape (p,)
         Standard deviation of the sensors [their unit].
 
@@ -79,18 +83,25 @@ def design_observer(
             "per output, a column per state."
         )
     weights = np.diag(np.broadcast_to(np.asarray(noise, dtype=np.float64) ** 2, len(outputs)))
+    g = plant.b if disturbance is None else disturbance
     try:
-        gain, _, _ = control.dlqe(
-            plant.a, plant.b, outputs, process**2 * np.eye(plant.b.shape[1]), weights
-        )
+        gain, _, _ = control.dlqe(plant.a, g, outputs, np.eye(g.shape[1]), weights)
     except (np.linalg.LinAlgError, ValueError, control.ControlArgument) as error:
         raise ConvergenceError(
             f"No observer follows the plant from these outputs ({error}): measure more of them."
         ) from None
-    return Observer(plant=plant, outputs=outputs, correction=np.asarray(gain))
+    found = Observer(plant=plant, outputs=outputs, correction=np.asarray(gain))
+    if not np.abs(np.linalg.eigvals(plant.a - found.correction @ outputs)).max() < 1.0:
+        raise ConvergenceError(
+            "No stable observer follows the plant from these outputs: measure more of them, or give "
+            "a larger noise."
+        )
+    return found
 
 
-def observed_loop(plant: LinearPlant, outputs: Array, observer: Observer, gain: Array) -> LinearPlant:
+def observed_loop(
+    plant: LinearPlant, outputs: Array, observer: Observer, gain: Array
+) -> LinearPlant:
     """Return the loop u = -F x^ + v from v to (x, x^), the plant being another than the nominal.
 
     Parameters

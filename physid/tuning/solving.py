@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Any
 
-import cvxpy as cp
 import numpy as np
 import numpy.typing as npt
 
@@ -13,6 +13,8 @@ from physid.tuning.inequalities import Inequalities
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
+
+cp: Any = import_module("cvxpy")  # its annotations leave out what it imports by star
 
 ROUNDS = 40
 """Most times that violated inequalities are added."""
