@@ -198,7 +198,8 @@ def chapters_4_and_5(out: Figures, loop: Loop, name: str, stages: int) -> None:
         )
     for case in (2, 4):
         out.add(f"{name} case {case} unstable: largest |z|", radius[case], ">=", 1.0)
-    for case in (1, 3, 5):
+    # With the printed matrices case 1 may be unstable too: rounding decides, so it is only shown.
+    for case in (1, 3, 5) if name in EXPECTED else (3, 5):
         out.add(f"{name} case {case} stable: largest |z|", radius[case], "<=", 1.0)
     if name in EXPECTED:
         for case, target in EXPECTED[name][0].items():
@@ -248,6 +249,11 @@ def chapter_6(out: Figures, stages: int) -> None:
             )
             out.add(f"chapter 6, {size} stages, {rule.name} certified", found.certified, ">=", 1)
         found, radius = tuned(HalfPlane(bound=printed_curvature), NO_MARGINS, False)
+        if size == 9:
+            sound, _ = tuned(HalfPlane(), NO_MARGINS, False)
+            out.add(
+                "chapter 6, 9 stages, corrected (6.6) alone certified", sound.certified, ">=", 1
+            )
         out.add(
             f"chapter 6, {size} stages, printed (6.6) protects: certified", found.certified, "<=", 0
         )

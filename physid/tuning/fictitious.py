@@ -51,7 +51,7 @@ def compress(regressor: Array, target: Array) -> Quadratic:
         If the record leaves some direction of the gain undetermined.
     """
     p = regressor.shape[1]
-    triangle = np.linalg.qr(np.column_stack([regressor, target]), mode="r")
+    triangle: Array = np.asarray(np.linalg.qr(np.column_stack([regressor, target]), mode="r"))
     factor = triangle[:p, :p]
     scale = np.linalg.norm(factor, axis=0)
     if not np.all(scale > 0.0) or np.linalg.cond(factor / scale) > 1e12:

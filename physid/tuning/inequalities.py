@@ -29,9 +29,8 @@ class Sway:
 
     def sizes(self, change: Array) -> Array:
         """Return the size, shape (t,), of every term for F - F0."""
-        return self.factor * np.linalg.norm(
-            np.einsum("ij,tjm->tim", change, self.path), axis=(1, 2)
-        )
+        terms = np.einsum("ij,tjm->tim", change, self.path)
+        return np.asarray(self.factor * np.linalg.norm(terms, axis=(1, 2)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

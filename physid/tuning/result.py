@@ -111,10 +111,8 @@ class TuningResult:
     def misfit(self) -> float:
         """Return how far the step response with F0 is from the desired one, relative to that."""
         _, steps = self._steps()
-        return float(
-            np.linalg.norm(steps["before"] - steps["desired"])
-            / max(np.linalg.norm(steps["desired"]), 1e-300)
-        )
+        wanted = float(np.linalg.norm(steps["desired"]))
+        return float(np.linalg.norm(steps["before"] - steps["desired"])) / max(wanted, 1e-300)
 
     def notes(self) -> list[str]:
         """Say where the model is the trouble, and what the certificate rests on."""
@@ -149,7 +147,7 @@ class TuningResult:
         desired = np.einsum("pn,tn->tp", self.outputs, self.desired.step_response(count)[:, :, 0])
         rows = slice(None, None, -(-count // MOST_POINTS))
         steps = {"before": _step(own, count), "after": _step(after, count), "desired": desired}
-        time = response.dt * np.arange(count)[rows]
+        time = np.asarray(response.dt * np.arange(count)[rows], dtype=np.float64)
         return time, {name: values[rows].T for name, values in steps.items()}
 
     def _sentence(self) -> str:
