@@ -442,7 +442,7 @@ def main(
     out.say("printed matrices: rounding moves column 3 off B, so only the ordering comes out")
     chapter_6(out, stages)
     gains = beyond(out, min(stages, 13))
-    random_plants(out, 3 if small else 100, 11, rng)
+    random_plants(out, 3 if small else 100, 11 if small else 12, rng)
     rig_runs(out, gains, 5.0 if small else 60.0, seed)
     result = {"seed": seed, "seconds": time.time() - begin, "figures": out.entries}
     if as_json:
