@@ -20,6 +20,7 @@ _HOMES = {
     "load_record": "physid.record",
     "refine": "physid.criticism.refinement",
     "simulate": "physid.criticism.simulating",
+    "tune": "physid.tuning.study",
     "write_record": "physid.record",
 }
 
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from physid.effects.catalogue import load_model as load_model
     from physid.record import load_record as load_record
     from physid.record import write_record as write_record
+    from physid.tuning.study import tune as tune
 
 __all__ = list(_HOMES)
 

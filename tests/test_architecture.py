@@ -15,13 +15,17 @@ ORDER = [
     "effects",
     "identification",
     "criticism",
+    "tuning",
     "report",
     "demo",
     "cli",
 ]
 """A package may import those before it; the public `physid` itself stands below `cli` alone."""
-BESIDE = {"report": {"record", "plant", "effects", "identification", "criticism"}}
-"""A page is made from results and curves alone, not from what computed them."""
+BESIDE = {
+    "report": {"record", "plant", "effects", "identification", "criticism", "tuning"},
+    "tuning": {"criticism"},
+}
+"""A page is made from results and curves alone; tuning stands beside criticism."""
 
 
 def modules():

@@ -65,6 +65,41 @@ def parse_map(texts: Iterable[str]) -> dict[str, str]:
     return _collect(texts, "--map", "COLUMN=NAME", _name)
 
 
+def parse_names(text: str | None, option: str) -> tuple[str, ...] | None:
+    """Read names between commas, None where nothing is given.
+
+    Raises
+    ------
+    InputError
+        If a name is empty or stands twice.
+    """
+    if text is None:
+        return None
+    names = tuple(name.strip() for name in text.split(","))
+    if not all(names) or len(set(names)) < len(names):
+        raise InputError(
+            f"{option} '{text}' is not a list of names: write each once, with commas between them."
+        )
+    return names
+
+
+def parse_gain(text: str) -> list[list[float]]:
+    """Read ``--gain``: numbers between commas, rows between semicolons.
+
+    Raises
+    ------
+    InputError
+        If something is no finite number, or the rows differ in length.
+    """
+    rows = [[_number(cell) for cell in row.split(",")] for row in text.split(";")]
+    if len({len(row) for row in rows}) > 1 or not all(math.isfinite(c) for r in rows for c in r):
+        raise InputError(
+            f"--gain '{text}' is not a gain: write a finite number per state, with commas between "
+            "them, and a semicolon between the rows of several inputs."
+        )
+    return rows
+
+
 def parse_within(text: str) -> float:
     """Read ``--within``: ``3%`` or ``0.03`` is 0.03.
 

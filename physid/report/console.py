@@ -16,6 +16,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from physid.report import tables
+from physid.report.loops import gain_table
 from physid.report.reading import Result, kind, mapping, mappings, notes
 from physid.report.summary import summarise
 
@@ -136,6 +137,8 @@ def renderables(result: Result) -> list[RenderableType]:
     pieces: list[RenderableType] = [verdict_panel(result)]
     shown = _SHOWN.get(kind(result), tuple(_TABLES))
     pieces += [_TABLES[key](result) for key in shown if mappings(result.get(key))]
+    if kind(result) == "tuning":
+        pieces.append(draw(gain_table(result), "Gain of u = -F x + v"))
     if "where" in shown and mappings(mapping(result.get("where")).get("joints")):
         pieces.append(_where(result))
     if mapping(result.get("next_experiment")):
@@ -156,6 +159,7 @@ _SHOWN = {
     "comparison": ("channels", "parameters", "where"),
     "fit": ("parameters", "channels"),
     "check": ("parameters",),
+    "tuning": (),
 }
 
 

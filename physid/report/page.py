@@ -10,6 +10,7 @@ from plotly.offline import get_plotlyjs
 
 from physid.report import figures
 from physid.report.layout import Picture, picture
+from physid.report.loops import nyquist_picture, step_picture
 from physid.report.reading import (
     Curves,
     Result,
@@ -55,7 +56,7 @@ def render(result: Result, curves: Curves) -> str:
             summary=summary,
             size=_size(summary),
             left=_main_picture(result, curves),
-            right=_error_picture(result),
+            right=_second_picture(result, curves),
             sections=sections(result, curves),
             subtitle=_subtitle(result),
             library=_library(),
@@ -68,7 +69,16 @@ def _main_picture(result: Result, curves: Curves) -> Picture | None:
     """Draw the picture that carries the answer."""
     if kind(result) == "simulation":
         return first_column(curves, _FIRST_HEIGHT)
+    if kind(result) == "tuning":
+        return step_picture(curves, _FIRST_HEIGHT)
     return first_picture(result, curves, _FIRST_HEIGHT)
+
+
+def _second_picture(result: Result, curves: Curves) -> Picture | None:
+    """Draw the picture beside it: errors, or the curve that keeps a loop stable."""
+    if kind(result) == "tuning":
+        return nyquist_picture(result, curves, _FIRST_HEIGHT)
+    return _error_picture(result)
 
 
 @lru_cache(maxsize=1)

@@ -25,6 +25,7 @@ SCHEMAS = {
     "physid.check/1": "check",
     "physid.simulation/1": "simulation",
     "physid.effects/1": "catalogue",
+    "physid.tuning/1": "tuning",
 }
 
 

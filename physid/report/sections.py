@@ -7,6 +7,7 @@ import numpy as np
 from physid.report import figures, tables
 from physid.report.forces import force_map_blocks, latent_blocks
 from physid.report.layout import Block, Picture, Section, picture, section
+from physid.report.loops import tuning_sections
 from physid.report.notation import NO_BREAK, half_width, percent, short
 from physid.report.reading import (
     Array,
@@ -33,6 +34,8 @@ def sections(result: Result, curves: Curves) -> list[Section]:
     if kind(result) == "simulation":
         found = [simulated_columns(result, curves), _notes(result)]
         return [one for one in found if one is not None]
+    if kind(result) == "tuning":
+        return [one for one in tuning_sections(result, curves) if one is not None]
     if kind(result) == "catalogue":
         return families(result)
     found = [

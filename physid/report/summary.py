@@ -132,6 +132,7 @@ def summarise(result: Result) -> Summary:
         "comparison": _comparison,
         "simulation": _simulation,
         "catalogue": _catalogue,
+        "tuning": _tuning,
     }
     summary = makers.get(kind(result), _comparison)(result)
     sentence = text(result.get("sentence")).strip()
@@ -364,6 +365,19 @@ def _catalogue(result: Result) -> Summary:
     headline = f"The catalogue: {plural(len(effects), 'effect')} that a model may lack."
     detail = "Write one as EFFECT@LOCATION:parameter=value to add it by hand with --add."
     return Summary(headline=headline, detail=detail, facts=(), tone="plain")
+
+
+def _tuning(result: Result) -> Summary:
+    """Summarise a tuning; its own sentence is the headline."""
+    certificate, cost = mapping(result.get("certificate")), mapping(result.get("cost"))
+    facts = (
+        ("Cost", f"{short(number(cost.get('before')))} → {short(number(cost.get('after')))}"),
+        ("Constraint", text(result.get("constraint"))),
+        ("Guaranteed distance from −1", short(number(certificate.get("guaranteed_modulus")))),
+        ("Loop before, off the desired one by", percent(number(result.get("misfit_before")))),
+    )
+    tone = "good" if result.get("verdict") == "certified" else "warn"
+    return Summary(headline="A gain was tuned.", detail="", facts=facts, tone=tone)
 
 
 def _deviations(result: Result) -> dict[str, object]:

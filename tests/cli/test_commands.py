@@ -14,7 +14,7 @@ from physid.record import Record
 
 COMMANDS = (
     *("simulate", "fit", "check", "compare", "diagnose", "refine"),
-    *("effects", "report", "demo"),
+    *("tune", "effects", "report", "demo"),
 )
 PARAMETER = {
     "name": "load.damping",
