@@ -64,6 +64,8 @@ class Response:
         Sum of v^2 over what was averaged, per input.
     rate : float
         B of the envelope.
+    power_at_rest : ndarray, shape (m,), or None
+        |sum of v|^2, summed likewise, where every frequency of the period rests on its own power.
     outputs : ndarray, shape (L, p, m), or None
         Impulse response of the experiment's own outputs.
     """
@@ -75,6 +77,7 @@ class Response:
     noise: Array
     power: Array
     rate: float
+    power_at_rest: Array | None = None
     outputs: Array | None = None
 
     @property
@@ -122,7 +125,24 @@ class Response:
         values, vectors = np.linalg.eigh(cross)
         root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
         growth = radius ** (-float(len(self.impulse)))
-        return np.asarray(root[:, None] * (growth / np.sqrt(self.power))[None, :, None, None])
+        weights = growth * np.sqrt(self._inverse_power(size, count))
+        return np.asarray(root[:, None] * weights[:, :, None, None])
+
+    def _inverse_power(self, size: int, count: int) -> Array:
+        """Return 1 / power of every input at the grid's angles, (count, m).
+
+        Between the lines of the period's spectrum an estimate is the lines' own, joined by
+        Dirichlet's kernel D: with independent errors its variance is the sum of theirs times
+        (D / period)^2, and DC, which an M-sequence hardly excites, has a variance of its own.
+        """
+        usual = np.tile(1.0 / self.power, (count, 1))
+        if self.power_at_rest is None:
+            return usual
+        angle = 2.0 * np.pi * np.arange(count) / size
+        kernel = np.ones(count)
+        kernel[1:] = np.sin(0.5 * self.period * angle[1:]) / np.sin(0.5 * angle[1:]) / self.period
+        extra = 1.0 / np.maximum(self.power_at_rest, 1e-12 * self.power) - 1.0 / self.power
+        return np.asarray(usual + kernel[:, None] ** 2 * np.maximum(extra, 0.0))
 
     def envelope(self, gain: Array, radius: float = 1.0) -> Envelope:
         """Bound the impulse response of T(F) = (F - F0) H on a circle, eq. (6.10)."""
@@ -172,20 +192,20 @@ def measure(experiment: Experiment) -> Response:
     if lags <= experiment.period // 2:
         kept = short_impulse_response(v, x, lags)
         left = _residual(v, x, kept) / np.sqrt(1.0 - lags / experiment.period)
-        power = (v**2).sum(axis=(0, 1))
+        at_rest = None
     else:
         kept = raw
         left = noise_of(experiment, raw) / np.sqrt(experiment.periods - 1.0)
-        # Each frequency rests on its own power alone, and an M-sequence has next to none at DC:
-        # the least of them, for a certificate must not be wrong there.
-        power = (np.abs(np.fft.fft(v, axis=1)) ** 2).sum(axis=0).min(axis=0)
+        # Each frequency rests on its own power alone, and an M-sequence has next to none at DC.
+        at_rest = np.asarray((v.sum(axis=1) ** 2).sum(axis=0))
     return Response(
         impulse=kept,
         gain=experiment.gain,
         dt=experiment.dt,
         period=experiment.period,
         noise=_blocks(left, len(kept)),
-        power=np.asarray(power),
+        power=np.asarray((v**2).sum(axis=(0, 1))),
+        power_at_rest=at_rest,
         rate=decay_rate(kept),
         outputs=_outputs(experiment, v, len(kept)),
     )
