@@ -13,7 +13,12 @@ from typer.main import get_command
 from physid.cli.app import make_app
 
 ROOT = Path(__file__).resolve().parents[1]
-DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "docs" / "effects.md"]
+DOCUMENTS = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    ROOT / "docs" / "effects.md",
+    ROOT / "docs" / "environments.md",
+]
 
 
 def commands_in(path):

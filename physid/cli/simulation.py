@@ -88,6 +88,14 @@ def simulate(
     add: Annotated[list[str] | None, ADD] = None,
     hold: Annotated[str | None, HOLD] = None,
     rename: Annotated[list[str] | None, MAP] = None,
+    timestep: Annotated[
+        float | None,
+        typer.Option(
+            "--timestep",
+            metavar="SECONDS",
+            help="Longest step of the engine; the MJCF's by default.",
+        ),
+    ] = None,
 ) -> int:
     """Run the model on a record's inputs or on a signal; --out gets record.csv."""
     if (record is None) == (excite is None):
@@ -107,6 +115,7 @@ def simulate(
             add=tuple(add or ()),
             hold=held,
             rename=names,
+            timestep=timestep,
             seed=output.seed,
         )
     deliver(

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import ctypes
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import lru_cache
 from typing import Any
@@ -48,13 +48,30 @@ def fill_table(plant: Plant, mark: float) -> None:
 @contextmanager
 def run_time_laws(plants: list[Plant]) -> Iterator[None]:
     """Let the engine obey the run-time laws of some plants while the context is open."""
-    if not any(plant.elements for plant in plants):
+    with obeyed_laws(fill_tables(plants)):
+        yield
+
+
+def fill_tables(plants: Iterable[Plant]) -> bool:
+    """Write the run-time laws of some plants into their models; say whether there are any."""
+    lawful = [plant for plant in plants if plant.elements]
+    for plant in lawful:
+        fill_table(plant, _callback()[1])
+    return bool(lawful)
+
+
+@contextmanager
+def obeyed_laws(lawful: bool) -> Iterator[None]:
+    """Let the engine obey the laws that :func:`fill_tables` has written.
+
+    For those who step one model many times: the tables are written once, the callback is installed
+    only while the context is open, because it is the whole process's.
+    """
+    if not lawful:
         yield
         return
-    callback, mark = _callback()
+    callback, _ = _callback()
     with _lock:
-        for plant in plants:
-            fill_table(plant, mark)
         mujoco.set_mjcb_passive(callback.ctypes)
         try:
             yield

@@ -104,8 +104,31 @@ def _full_states(
         data.qvel[:] = x[model.nq : model.nq + model.nv]
         if model.na:
             data.act[:] = x[model.nq + model.nv :]
+        fill_histories(model, data)
         mujoco.mj_getState(model, data, full[w], STATE)
     return full
+
+
+def fill_histories(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Let delayed sensors have read, before the run, what they read at its start.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+    data : mujoco.MjData
+        At the initial state; its sensor histories are written.
+    """
+    delays, counts = model.sensor_delay.copy(), model.sensor_history[:, 0]
+    if not delays.any():
+        return
+    model.sensor_delay[:] = 0.0
+    mujoco.mj_forward(model, data)
+    model.sensor_delay[:] = delays
+    for i in np.flatnonzero(delays):
+        start, size = int(model.sensor_adr[i]), int(model.sensor_dim[i])
+        now = data.sensordata[start : start + size]
+        past = np.tile(now, (int(counts[i]), 1))
+        mujoco.mj_initSensorHistory(model, data, int(i), None, past, 0.0)
 
 
 def _slices(controls: np.ndarray, starts: np.ndarray, steps: int, substeps: int) -> np.ndarray:

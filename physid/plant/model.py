@@ -188,20 +188,22 @@ class Model:
         )
         return replace(self, effects=(*kept, placed))
 
-    def compile(self, timestep: float) -> Plant:
+    def compile(self, timestep: float, *, looks: bool = False) -> Plant:
         """Compile at the present values.
 
         Parameters
         ----------
         timestep : float
             Integration step [s]; the integrator is RK4 whatever the MJCF says.
+        looks : bool
+            Keep materials and textures, for who draws it; they take longest to compile.
 
         Raises
         ------
         ModelError
             If the engine refuses the values.
         """
-        spec = self._edited(self._physical, timestep)
+        spec = self._edited(self.spec if looks else self._physical, timestep)
         delays = _take_delays(spec, self.structure, timestep)
         runtime = [p for p in self.effects if p.effect.representation == "runtime"]
         if runtime:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from physid.record.drive import Drive, parse_drive
 from physid.record.excitation import Excitation, MSequence, Step
 from physid.record.noise import LowPass, Noise
 from physid.record.reading import load_record
@@ -12,6 +13,7 @@ from physid.record.writing import write_record
 
 __all__ = [
     "Chirp",
+    "Drive",
     "Excitation",
     "LowPass",
     "MSequence",
@@ -21,6 +23,7 @@ __all__ = [
     "Samples",
     "Step",
     "load_record",
+    "parse_drive",
     "parse_excitation",
     "uniform",
     "write_record",

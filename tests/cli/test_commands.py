@@ -198,7 +198,18 @@ def test_default_of_hold(call, calls, given):
 
 
 def test_simulate_passes_its_options(call, calls):
-    words = ("--input", "r.csv", "--hold", "first", "--map", "torque=motor", "--seed", "3")
+    words = (
+        "--input",
+        "r.csv",
+        "--hold",
+        "first",
+        "--map",
+        "torque=motor",
+        "--seed",
+        "3",
+        "--timestep",
+        "1e-4",
+    )
     assert call("simulate", "m.xml", *words, "--add", "coulomb_friction@load:force=1").code == 0
     assert calls[0][1] == (Path("m.xml"), Path("r.csv"))
     assert calls[0][2] == {
@@ -206,6 +217,7 @@ def test_simulate_passes_its_options(call, calls):
         "add": ("coulomb_friction@load:force=1",),
         "hold": "first",
         "rename": {"torque": "motor"},
+        "timestep": 1e-4,
         "seed": 3,
     }
 

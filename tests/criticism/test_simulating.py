@@ -91,10 +91,21 @@ def test_excitation_and_its_seed(free):
     np.testing.assert_array_equal(first, named)
 
 
+def test_a_step_that_matters_is_noted(free):
+    force = record_of(np.where(np.arange(200) % 40 < 20, 1.0, -1.0))
+    hidden = ["coulomb_friction@rail:force=0.6"]
+    coarse = physid.simulate(free, force, add=hidden, timestep=0.01)
+    assert "--timestep" in coarse.notes[0]
+    assert not physid.simulate(free, force).notes
+    fine = physid.simulate(free, force, add=hidden, timestep=1e-4).column("position")
+    assert np.abs(fine - coarse.column("position")).max() > 1e-5
+
+
 @pytest.mark.parametrize(
     ("options", "word"),
     [
         ({}, "--excite"),
+        ({"excite": "step:time=0,duration=1", "timestep": 0.0}, "positive"),
         ({"excite": "brake=step:time=0,duration=1"}, "motor"),
         ({"excite": "step:time=0,duration=1", "add": ["coulomb_friction@rail"]}, "value"),
         ({"excite": "step:time=0,duration=1", "add": ["coulomb_friction@motor:force=1"]}, "rail"),
