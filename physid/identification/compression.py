@@ -89,7 +89,7 @@ def compress_blocks(
     for rows, target, weight in blocks:
         block = weighted(rows, target, weight)
         equations += len(block)
-        kept = np.linalg.qr(np.vstack([kept, block]), mode="r")
+        kept = np.asarray(np.linalg.qr(np.vstack([kept, block]), mode="r"))
     kept = np.vstack([kept, np.zeros((max(p + 1 - len(kept), 0), p + 1))])
     return Compressed(
         names=names,

@@ -132,9 +132,10 @@ def variance_bound(name: str, limit: float, samples: int, size: float) -> Quadra
         A typical size of the parameter, for the numerics.
     """
 
+    mean = cp.Variable()  # at its best it is the mean, and the cone stays sparse
+
     def form(theta: Theta) -> Any:
-        values = theta[name] / size
-        return cp.reshape(values - cp.sum(values) / samples, (1, samples), order="C")
+        return cp.reshape(theta[name] / size - mean, (1, samples), order="C")
 
     return Quadratic(
         label=f"variance of {name} <= {limit:g}",

@@ -27,6 +27,8 @@ from physid.identification.regression import Regression
 Form = Literal["auto", "least_squares", "nnls", "qp", "lmi"]
 TOLERANCE = 1e-12
 """Of the conic solver: the optimum is flat, and theta is only good to its square root."""
+LOOSER = (1e-10, 1e-8)
+"""Tolerances tried in turn where the first is out of reach."""
 ACTIVE = 1e-6
 """Distance to a bound, relative to the parameter's size, at which it is active."""
 
@@ -207,7 +209,7 @@ def _conic(
     return np.asarray(x.value)
 
 
-def run(problem: Any) -> None:
+def run(problem: Any, tolerance: float = TOLERANCE) -> None:
     """Solve a cvxpy problem with Clarabel, to the tolerance the flat optimum needs.
 
     Raises
@@ -215,20 +217,23 @@ def run(problem: Any) -> None:
     ConvergenceError
         With the solver's status.
     """
-    options = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), TOLERANCE)
-    try:
-        with warnings.catch_warnings():
-            # 1e-12 is asked for and seldom certified: what is reached is checked against the fast forms.
-            warnings.filterwarnings("ignore", message="Solution may be inaccurate")
-            problem.solve(solver=cp.CLARABEL, canon_backend=cp.SCIPY_CANON_BACKEND, **options)
-    except cp.SolverError as error:
-        raise ConvergenceError(
-            f"The conic solver failed ({error}); loosen the constraints."
-        ) from None
-    if problem.status not in ("optimal", "optimal_inaccurate"):
-        raise ConvergenceError(
-            f"The conic solver ended with '{problem.status}': loosen the constraints or free fewer parameters."
-        )
+    reason = ""
+    for allowed in dict.fromkeys((tolerance, *(t for t in LOOSER if t > tolerance))):
+        options = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), allowed)
+        try:
+            with warnings.catch_warnings():
+                # 1e-12 is asked for and seldom certified: the fast forms check what is reached.
+                warnings.filterwarnings("ignore", message="Solution may be inaccurate")
+                problem.solve(solver=cp.CLARABEL, canon_backend=cp.SCIPY_CANON_BACKEND, **options)
+        except cp.SolverError:
+            reason = "it stopped without a solution"
+            continue
+        if problem.status in ("optimal", "optimal_inaccurate"):
+            return
+        reason = f"it ended with '{problem.status}'"
+    raise ConvergenceError(
+        f"The conic solver found no optimum ({reason}): loosen the constraints or free fewer parameters."
+    )
 
 
 def _active(

@@ -81,11 +81,10 @@ class Reduced:
         triangle = np.zeros((p + 1, 1, p + m))
         triangle[:p, 0, :p] = self.common.triangle
         target = np.concatenate([self.common.target, [np.sqrt(self.common.rest)]])[:, None]
-        found = compress_blocks(
+        return compress_blocks(
             (*self.names, *names),
             [(triangle, target, None), (sample, self.target[:, None], None)],
         )
-        return found
 
     def shown(self, theta: np.ndarray) -> np.ndarray:
         """Return t - c theta (n,): what the varying parameter must explain."""

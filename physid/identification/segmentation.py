@@ -174,7 +174,7 @@ def standard_errors(joint: Compressed, theta: np.ndarray, correlation: float) ->
     Noise in the regressors is not counted: with more than a few per cent of it, use output error.
     """
     scale = joint.scale
-    u, s, vt = np.linalg.svd(joint.triangle * scale)
+    _u, s, vt = np.linalg.svd(joint.triangle * scale)
     seen = s > 1e-12 * s[0]
     inverse = np.where(seen, 1.0 / np.where(seen, s, 1.0), 0.0)
     freedom = max(joint.equations / correlation - len(theta), 1.0)

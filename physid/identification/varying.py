@@ -24,6 +24,8 @@ from physid.identification.segmentation import Segmentation, standard_errors
 
 BLIND = 1e-7
 """Singular value, relative to the largest, below which a direction of parameters is not identified."""
+CONIC = 1e-10
+"""Tolerance of the cone programmes, whose optimum is not flat where there is noise."""
 MOVED = 1e-3
 """Step of a trajectory, relative to its range, that counts as a change point."""
 
@@ -90,8 +92,7 @@ def free(
     tilt = -(reduced.rows @ basis / np.where(seen, reduced.slope, 1.0)[:, None])[seen]
     corners = _corners(left, tilt, limits, basis, particular, reduced.names, bounds)
     if corners is None:
-        theta, values, cost = conic(reduced, [Bound(name=reduced.name, lower=limits[0]), *bounds])
-        return Free(theta=theta, values=values, lower=values, upper=values, intervals=(), cost=cost)
+        return _clipped(reduced, limits, bounds)
     thetas = particular + corners @ basis.T
     paths = np.full((len(corners), reduced.samples), np.nan)
     paths[:, seen] = left + corners @ tilt.T
@@ -108,6 +109,41 @@ def free(
         upper=paths.max(axis=0),
         intervals=intervals,
         cost=reduced.common.cost(thetas.mean(axis=0)),
+    )
+
+
+def _clipped(reduced: Reduced, limits: tuple[float, float], bounds: Sequence[Bound]) -> Free:
+    """Return the optimum where the varying parameter's bounds cut into the data.
+
+    For given theta each sample's value is known: what is left, within the bounds.  So only theta is
+    searched, for the squares of what the bounds leave over.
+    """
+    rough = _rough(reduced)
+    force = float(np.sqrt(np.mean(reduced.target**2))) or 1.0
+    scale = np.where(np.abs(rough[:-1]) > 0, np.abs(rough[:-1]), reduced.common.scale)
+    x = cp.Variable(len(scale))
+    shown = reduced.target / force - (reduced.rows * scale / force) @ x
+    goal = cp.sum_squares(
+        reduced.common.triangle * scale / force @ x - reduced.common.target / force
+    )
+    for limit, over in ((limits[0], cp.neg), (limits[1], cp.pos)):
+        if np.isfinite(limit):
+            goal += cp.sum_squares(over(shown - reduced.slope * limit / force))
+    theta = {n: scale[k] * x[k] for k, n in enumerate(reduced.names)}
+    run(cp.Problem(cp.Minimize(goal), [c for b in bounds for c in b.build(theta)]), CONIC)
+    found = np.asarray(x.value) * scale
+    seen = reduced.slope > 0
+    left = reduced.shown(found)
+    values = np.full(reduced.samples, np.nan)
+    values[seen] = np.clip(left[seen] / reduced.slope[seen], *limits)
+    remains = left - reduced.slope * np.nan_to_num(values)
+    return Free(
+        theta=found,
+        values=values,
+        lower=values,
+        upper=values,
+        intervals=(),
+        cost=float(reduced.common.cost(found) + remains @ remains),
     )
 
 
@@ -197,7 +233,7 @@ def conic(
         If the constraints contradict each other.
     """
     rough = _rough(reduced)
-    size, force = rough[-1], float(np.sqrt(np.sum(reduced.target**2))) or 1.0
+    size, force = abs(rough[-1]) or 1.0, float(np.sqrt(np.mean(reduced.target**2))) or 1.0
     scale = np.where(np.abs(rough[:-1]) > 0, np.abs(rough[:-1]), reduced.common.scale)
     x, v = cp.Variable(len(scale)), cp.Variable(reduced.samples)
     theta: dict[str, Any] = {n: scale[k] * x[k] for k, n in enumerate(reduced.names)}
@@ -216,7 +252,7 @@ def conic(
     if smoothness:
         goal += smoothness * cp.sum_squares(cp.diff(v, 2))
     built = [c for constraint in constraints for c in constraint.build(theta)]
-    run(cp.Problem(cp.Minimize(goal), built))
+    run(cp.Problem(cp.Minimize(goal), built), CONIC)
     found, values = np.asarray(x.value) * scale, np.asarray(v.value) * size
     left = reduced.shown(found) - reduced.slope * values
     return found, values, float(reduced.common.cost(found) + left @ left)
@@ -256,7 +292,7 @@ def smooth_weight(reduced: Reduced, length: float) -> float:
             f"The smoothing length {length:g} s is below four samples of {dt:g} s: give a longer one."
         )
     size = abs(float(_rough(reduced)[-1]))
-    information = np.mean(reduced.slope**2) * size**2 / float(np.sum(reduced.target**2))
+    information = np.mean(reduced.slope**2) * size**2 / float(np.mean(reduced.target**2))
     return float(information / (2.0 * np.sin(np.pi * dt / length)) ** 4)
 
 
