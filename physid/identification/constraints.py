@@ -131,7 +131,6 @@ def variance_bound(name: str, limit: float, samples: int, size: float) -> Quadra
     size : float
         A typical size of the parameter, for the numerics.
     """
-
     mean = cp.Variable()  # at its best it is the mean, and the cone stays sparse
 
     def form(theta: Theta) -> Any:

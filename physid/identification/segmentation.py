@@ -22,7 +22,7 @@ MOST_SEGMENTS = 6
 """Segments tried at most."""
 COARSE, FINE = 120, 400
 """Places for a cut in the start and in the exact search; cuts are then moved sample by sample."""
-SHORTEST = 0.02
+SHORTEST = 0.05
 """Least share of the samples in a segment: fewer look like noise in the scheduling variable."""
 ROUNDS = 12
 """Times that cuts and values are fitted in turn at most."""

@@ -134,10 +134,13 @@ def cramer_rao(simulation: Simulation, theta: np.ndarray, noise: Noise) -> np.nd
 
 def covariance_of(columns: np.ndarray) -> np.ndarray:
     """Return (J'J)^-1 of whitened sensitivities (m, p), scaled for the numerics."""
-    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    triangle = np.linalg.qr(columns / size, mode="r")
-    inverse = np.linalg.pinv(triangle)
-    return np.asarray(inverse @ inverse.T / np.outer(size, size))
+    size = np.linalg.norm(columns, axis=0)
+    unseen = size == 0
+    size[unseen] = 1.0
+    inverse = np.linalg.pinv(np.linalg.qr(columns / size, mode="r"))
+    covariance = inverse @ inverse.T / np.outer(size, size)
+    covariance[unseen, unseen] = np.inf
+    return np.asarray(covariance)
 
 
 def sensitivities(simulation: Simulation, theta: np.ndarray) -> np.ndarray:

@@ -1,0 +1,85 @@
+"""Output error of a linear rig with a parameter that steps or switches, from the regression's estimate.
+
+Regression is biased by noise in the regressors; the change points it finds are not.  With these
+held, the values are refitted by simulation (:mod:`physid.identification.whitening`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from physid.identification.linear_plant import LinearPlant
+from physid.identification.switched import Course, Switch, simulate
+from physid.identification.whitening import Simulation, Whitened, staged
+
+NEARBY = 0.02
+"""Relative half-width of the search for a threshold."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Modes:
+    """How the parameters of a run hang together.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+    varying : int
+        Which of the plant's parameters varies.
+    course : Course
+        Its ``modes`` say which value holds when.
+    sensors : ndarray (ny, 1 + 3 nv)
+    """
+
+    plant: LinearPlant
+    varying: int
+    course: Course
+    sensors: np.ndarray
+
+    def split(self, theta: np.ndarray) -> list[np.ndarray]:
+        """Turn (constants, one value per mode) into the plant's parameters of each mode."""
+        p = len(self.plant.names) - 1
+        return [np.insert(theta[:p], self.varying, value) for value in theta[p:]]
+
+    def simulation(self, switch: Switch | None = None) -> Simulation:
+        """Return the map from (constants, values) to the outputs."""
+        return lambda theta: simulate(
+            self.plant, self.split(theta), self.course, self.sensors, switch
+        )
+
+
+def fit_steps(modes: Modes, measured: np.ndarray, start: np.ndarray) -> Whitened:
+    """Refit constants and the value of every segment; ``start`` is (p + k,)."""
+    return staged(modes.simulation(), measured, start)
+
+
+def fit_switch(
+    modes: Modes, measured: np.ndarray, start: np.ndarray, switch: Switch, *, rounds: int = 2
+) -> tuple[Whitened, float]:
+    """Refit constants, both levels, and the threshold at which the simulated rig switches.
+
+    Returns
+    -------
+    (Whitened, float)
+        ... and the threshold.  It is searched between the estimates' fits, since the misfit is not
+        smooth in it.
+    """
+    found = staged(modes.simulation(switch), measured, start)
+    for _ in range(rounds):
+        switch = replace(switch, threshold=_threshold(modes, measured, found, switch))
+        found = staged(modes.simulation(switch), measured, found.theta)
+    return found, switch.threshold
+
+
+def _threshold(modes: Modes, measured: np.ndarray, found: Whitened, switch: Switch) -> float:
+    def misfit(threshold: float) -> float:
+        run = modes.simulation(replace(switch, threshold=threshold))(found.theta)
+        return float(np.sum(found.noise.whiten(measured - run) ** 2))
+
+    tried = switch.threshold * np.linspace(1.0 - NEARBY, 1.0 + NEARBY, 41)
+    best = float(tried[int(np.argmin([misfit(t) for t in tried]))])
+    step = float(tried[1] - tried[0])
+    fine = minimize_scalar(misfit, bounds=(best - step, best + step), method="bounded")
+    return float(fine.x) if fine.fun < misfit(best) else best
