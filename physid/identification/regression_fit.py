@@ -330,7 +330,7 @@ def variable_of(text: str, experiment: Experiment, model: Model, time: np.ndarra
         if part not in columns:
             raise ModelError(f"The variable '{part}' is not in the record. {available(columns)}")
     whole = columns[parts[0]] - sum((columns[p] for p in parts[1:]), np.zeros(experiment.samples))
-    return np.interp(time, experiment.time, whole)
+    return np.asarray(np.interp(time, experiment.time, whole))
 
 
 __all__ = [

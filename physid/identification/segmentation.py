@@ -107,14 +107,16 @@ def segment(
 def chosen(found: tuple[Segmentation, ...], reduced: Reduced) -> int:
     """Return which segmentation has the least BIC, counting only independent equations.
 
-    A plain BIC on n coloured samples always adds segments; the number of equations is divided by the
-    correlation time of the richest one's residual (see ``docs/lmi.md``).
+    A plain BIC on n coloured samples always adds segments.  So the squares speak with the number of
+    independent equations that the richest one's residual leaves; a value costs its logarithm, and the
+    place of a cut 2 log n, by which the best of n places wins where there is nothing (compare Zhang,
+    Siegmund, Biometrics 63, 2007).
     """
     information = found[-1].information
     floor = FLOOR**2 * float(np.sum(reduced.target**2))
+    per_value, per_cut = np.log(max(information, 2.0)), 2.0 * np.log(reduced.samples)
     scores = [
-        information * np.log(s.misfit + floor)
-        + (len(s.values) + len(s.cuts)) * np.log(max(information, 2.0))
+        information * np.log(s.misfit + floor) + per_value * len(s.values) + per_cut * len(s.cuts)
         for s in found
     ]
     return int(np.argmin(scores))

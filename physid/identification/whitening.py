@@ -107,7 +107,7 @@ def staged(
     settled, done = False, 0
     for done in range(1, passes + 2):
         before = theta
-        theta, jacobian = _minimise(simulation, measured, theta, noise)
+        theta, jacobian = minimise(simulation, measured, theta, noise)
         whitened = noise.whiten(jacobian).reshape(-1, len(theta))
         std = np.sqrt(np.diag(covariance_of(whitened)))
         if done > 2 and np.all(np.abs(theta - before) <= SETTLED * std):
@@ -155,10 +155,10 @@ def sensitivities(simulation: Simulation, theta: np.ndarray) -> np.ndarray:
     )
 
 
-def _minimise(
+def minimise(
     simulation: Simulation, measured: np.ndarray, theta: np.ndarray, noise: Noise
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Take Gauss-Newton steps until they no longer matter; return theta and the last sensitivities."""
+    """Take Gauss-Newton steps for a given noise; return theta (p,) and the sensitivities (n, ny, p)."""
     residual = noise.whiten(measured - simulation(theta))
     cost = float(np.sum(residual**2))
     if not np.isfinite(cost):
