@@ -70,7 +70,9 @@ def test_a_step_is_found_and_written(case_1, capsys):
     assert varying["values"] == pytest.approx([90e3, 180e3], rel=1e-5)
     assert varying["effects"][0]["effect"] == "stiffness_change"
     assert result["sentence"].startswith("base_position.kp steps at t = 0.250 s")
-    assert (case_1 / "out" / "report.html").exists()
+    page = (case_1 / "out" / "report.html").read_text(encoding="utf-8")
+    assert "What varies" in page
+    assert "base_position.kp over time" in page
 
 
 @pytest.mark.parametrize(
