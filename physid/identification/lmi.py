@@ -27,7 +27,7 @@ from physid.identification.regression import Regression
 Form = Literal["auto", "least_squares", "nnls", "qp", "lmi"]
 TOLERANCE = 1e-12
 """Of the conic solver: the optimum is flat, and theta is only good to its square root."""
-LOOSER = (1e-10, 1e-8)
+LOOSER = (1e-10, 1e-8, 1e-7, 1e-6)
 """Tolerances tried in turn where the first is out of reach."""
 ACTIVE = 1e-6
 """Distance to a bound, relative to the parameter's size, at which it is active."""

@@ -233,16 +233,18 @@ def conic(
         If the constraints contradict each other.
     """
     rough = _rough(reduced)
-    size, force = abs(rough[-1]) or 1.0, float(np.sqrt(np.mean(reduced.target**2))) or 1.0
+    size, force = abs(rough[-1]) or 1.0, _force(reduced, rough)
     scale = np.where(np.abs(rough[:-1]) > 0, np.abs(rough[:-1]), reduced.common.scale)
     x, v = cp.Variable(len(scale)), cp.Variable(reduced.samples)
-    theta: dict[str, Any] = {n: scale[k] * x[k] for k, n in enumerate(reduced.names)}
+    # About the constant estimate, and dividing by what it leaves: the solver's numbers are near one.
+    theta: dict[str, Any] = {n: rough[k] + scale[k] * x[k] for k, n in enumerate(reduced.names)}
     theta[reduced.name] = size * v
     if any(not isinstance(c, Bound) for c in constraints):
         check_feasible(constraints, theta)
-    common = reduced.common.triangle * scale / force @ x - reduced.common.target / force
+    base = reduced.common.triangle @ rough[:-1] - reduced.common.target
+    common = reduced.common.triangle * scale / force @ x + base / force
     along = (
-        reduced.target / force
+        reduced.shown(rough[:-1]) / force
         - (reduced.rows * scale / force) @ x
         - cp.multiply(reduced.slope * size / force, v)
     )
@@ -253,9 +255,15 @@ def conic(
         goal += smoothness * cp.sum_squares(cp.diff(v, 2))
     built = [c for constraint in constraints for c in constraint.build(theta)]
     run(cp.Problem(cp.Minimize(goal), built), CONIC)
-    found, values = np.asarray(x.value) * scale, np.asarray(v.value) * size
+    found, values = rough[:-1] + np.asarray(x.value) * scale, np.asarray(v.value) * size
     left = reduced.shown(found) - reduced.slope * values
     return found, values, float(reduced.common.cost(found) + left @ left)
+
+
+def _force(reduced: Reduced, rough: np.ndarray) -> float:
+    """Return the rms of what a constant parameter leaves: the unit of the penalties."""
+    left = reduced.shown(rough[:-1]) - reduced.slope * rough[-1]
+    return float(np.sqrt(np.mean(left**2))) or 1.0
 
 
 def _rough(reduced: Reduced) -> np.ndarray:
@@ -291,8 +299,8 @@ def smooth_weight(reduced: Reduced, length: float) -> float:
         raise InputError(
             f"The smoothing length {length:g} s is below four samples of {dt:g} s: give a longer one."
         )
-    size = abs(float(_rough(reduced)[-1]))
-    information = np.mean(reduced.slope**2) * size**2 / float(np.mean(reduced.target**2))
+    rough = _rough(reduced)
+    information = np.mean(reduced.slope**2) * (rough[-1] / _force(reduced, rough)) ** 2
     return float(information / (2.0 * np.sin(np.pi * dt / length)) ** 4)
 
 
