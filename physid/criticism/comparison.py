@@ -24,9 +24,10 @@ from physid.criticism.localisation import Latent, latent_forces, where
 from physid.errors import NumericsError
 from physid.identification.accuracy import with_substeps
 from physid.identification.fitting import Fitted, closing_balance, fit_study
-from physid.identification.output_error import Problem, minimise
+from physid.identification.output_error import minimise
+from physid.identification.problem import Problem
 from physid.identification.staged import ENOUGH, SHORT, thinned, windowed
-from physid.identification.study import Options, at_values, prepare
+from physid.identification.study import Options, prepare
 from physid.plant.model import Model
 
 
@@ -208,7 +209,7 @@ def lack_of(fitted: Fitted, better: Fitted | None = None) -> Lack:
 
 def _bent(short: Problem, fitted: Fitted) -> Model:
     near = minimise(short, fitted.estimate.theta, iterations=10, tolerance=1e-3)
-    return at_values(short.model, short.parameters, near.theta)
+    return short.at(near.theta)
 
 
 def _without_added(base: Fitted, better: Fitted) -> Model:

@@ -4,69 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import zip_longest
 from typing import Literal
 
 import numpy as np
 
-from physid.criticism.evidence import (
-    HORIZONS,
+from physid.criticism.evidence import Judgement, judge
+from physid.criticism.refit import (
     Base,
-    Judgement,
     Refit,
-    Start,
-    choosing_spans,
-    colour,
-    judge,
     judging_spans,
-    nrmse,
-    refit,
-    start_of,
-    with_block,
 )
-from physid.effects.catalogue import CATALOGUE
-from physid.errors import NumericsError
-from physid.identification.output_error import Estimate, Problem
-from physid.identification.screening import Scored, possible_candidates, screen, shortlist
-from physid.identification.staged import (
-    ENOUGH,
-    Spans,
-    fit_windows,
-    states_only,
-    thinned,
-    windowed,
+from physid.criticism.search import (
+    LEAST_GAIN,
+    NOISE_LIKE,
+    base_of,
+    explained,
+    score,
+    search,
+    windows_of,
 )
-from physid.identification.study import Options, Study, at_values
-from physid.plant.effect import Effect, Placed, Scales
-from physid.plant.structure import Place
+from physid.identification.problem import Problem
+from physid.identification.screening import possible_candidates
+from physid.identification.study import Study
 
 Verdict = Literal["effect_missing", "nothing_missing", "unexplained"]
-REFITS = 4
-"""Candidates refitted from each of the two screenings."""
-TRIALS = 3
-"""Shapes of each that are started from."""
-MOST_STARTS = 4
-"""Starts of one candidate, over all screenings."""
-PARTNERS = 3
-"""Best single effects that get a partner, and partners tried from each screening."""
-SHOWN = 6
-"""Candidates fitted on whole stretches and reported."""
-FEW = 3
-"""... where not even the best of them gains anything on windows."""
-LEAST_GAIN = 12.0
-"""Smallest fall of the information criterion that is not chance."""
 LEAST_SHARE = 0.02
 """Smallest share of the squares that a named effect removes."""
 CHANCE = 0.01
 """Corrected p-value above which nothing is claimed."""
-NOISE_LIKE = 1.25
-"""A residual within this factor of the noise's variance is explained."""
 NAMED = 0.75
 """Share of the excess error a single effect or a pair must remove to be named."""
 NAMED_BESIDE = 0.3
 """... where the model was refined before and only details can be left."""
-WELL_NAMED = 0.95
-"""... beyond which no pair is looked for."""
 TOLD_APART = 10.0
 """Difference of the information criterion below which two candidates are not told apart."""
 
@@ -121,35 +90,19 @@ def diagnose_study(
     -------
     Diagnosis
     """
-    options = study.options
-    _report(options, span, "fitting the model as it stands", 0.0)
+
+    def report(stage: str, share: float) -> None:
+        study.options.report(stage, span[0] + (span[1] - span[0]) * share)
+
+    report("fitting the model as it stands", 0.0)
     base = base_of(study)
-    judging = {h: _windows(study, h, judging_spans) for h in base.fits}
+    judging = {h: windows_of(study, h, judging_spans) for h in base.fits}
     candidates = possible_candidates(study.problem)
-    _report(options, span, f"screening {len(candidates)} candidates", 0.1)
-    inner = base.problems["long"]
-    fits = []
-    grounds = [(base.problems[h], base.fits[h]) for h in base.fits]
-    if base.fits["long"].squares > NOISE_LIKE * base.problems["long"].measurements():
-        grounds.insert(0, (base.problems["long"], _undistorted(study, base.problems["long"])))
-    groups = _screened(grounds, candidates, REFITS, TRIALS)
-    for k, group in enumerate(groups):
-        _report(
-            options, span, f"refitting {group[0].effect.name}", 0.2 + 0.4 * k / max(len(groups), 1)
-        )
-        found = refit(base, inner, _starts(group), group[0].scales, rank=k)
-        if found is not None:
-            fits.append(found)
-    scales = {g[0].place: g[0].scales for g in groups}
-    fits = _best_with_blocks(base, _with_siblings(base, fits, scales), scales)
-    partnered = _wanting_partners(base, fits)
-    if partnered:
-        _report(options, span, "trying pairs", 0.65)
-        fits = _best_with_blocks(base, [*fits, *_pairs(base, fits, partnered, candidates)], scales)
-    _report(options, span, "judging on data not used for the choice", 0.9)
+    fits = search(study, base, candidates, lambda stage, share: report(stage, 0.1 + 0.8 * share))
+    report("judging on data not used for the choice", 0.9)
     ranked = _ranked(base, judging, fits, max(len(candidates), 1))
     verdict, sentence = _verdict(study, base, ranked, named)
-    _report(options, span, "diagnosed", 1.0)
+    report("diagnosed", 1.0)
     long = base.fits["long"].squares / base.problems["long"].measurements()
     return Diagnosis(
         verdict=verdict,
@@ -159,247 +112,6 @@ def diagnose_study(
         tried=len(candidates),
         noise_ratio=long,
     )
-
-
-def _starts(group: Sequence[Scored]) -> list[Start]:
-    return [Start(s.start, s.theta) for s in group]
-
-
-def _windows(study: Study, horizon: str, spans: Spans) -> Problem:
-    problem = windowed(study.problem, HORIZONS[horizon], spans)
-    return thinned(problem, ENOUGH) if np.isfinite(HORIZONS[horizon]) else problem
-
-
-def base_of(study: Study) -> Base:
-    """Fit the base model on the choosing data at every horizon it can be simulated over."""
-    problems = {h: _windows(study, h, choosing_spans) for h in HORIZONS}
-    long = fit_windows(problems["long"], study.theta)
-    fits = {"short": fit_windows(problems["short"], long.theta), "long": long}
-    again = fit_windows(problems["long"], fits["short"].theta)
-    if again.chi2 < long.chi2:
-        fits["long"] = again
-    try:
-        block = fit_windows(problems["block"], fits["long"].theta)
-        if float(np.max(nrmse(problems["block"], block))) < 1.0:
-            fits["block"] = block
-    except NumericsError:
-        pass
-    return Base(problems=problems, fits=fits)
-
-
-def _report(options: Options, span: tuple[float, float], stage: str, share: float) -> None:
-    options.report(stage, span[0] + (span[1] - span[0]) * share)
-
-
-def _undistorted(study: Study, problem: Problem) -> Estimate:
-    """Return the study's start as a ground for screening.
-
-    Under a large missing effect the best fit is a distorted one, at which nothing looks like itself;
-    the start, from the force balance or short windows, is nearer the truth.
-    """
-    frozen = replace(problem, model=at_values(problem.model, problem.parameters, study.theta))
-    found = states_only(frozen)
-    return replace(found, theta=study.theta)
-
-
-def _screened(
-    grounds: Sequence[tuple[Problem, Estimate]],
-    candidates: Sequence[tuple[Effect, Place]],
-    most: int,
-    per_effect: int,
-) -> list[list[Scored]]:
-    """Screen on several grounds and join the shortlists, alternating."""
-    groups: dict[tuple[str, Place], list[Scored]] = {}
-    lists = [
-        shortlist(screen(problem, fit, candidates), most, per_effect) for problem, fit in grounds
-    ]
-    for pair in zip_longest(*lists):
-        for group in pair:
-            if group is None:
-                continue
-            known = groups.setdefault((group[0].effect.name, group[0].place), [])
-            known += [s for s in group if not any(_same_start(s, k) for k in known)]
-    return [group[:MOST_STARTS] for group in groups.values()]
-
-
-def _same_start(one: Scored, other: Scored) -> bool:
-    """Say whether two starts differ by less than a fifth in every coefficient."""
-    return all(
-        abs(v - other.start.values[k]) <= 0.2 * max(abs(v), abs(other.start.values[k]))
-        for k, v in one.start.values.items()
-    )
-
-
-def _with_siblings(base: Base, fits: list[Refit], scales: dict[Place, Scales]) -> list[Refit]:
-    """Start effects that contain the best one from its fit as well: they can only be as good or better."""
-    if not fits:
-        return fits
-    best = min(fits, key=lambda f: _score(base, f, ("short", "long")))
-    inner = best.fitted[0]
-    out = list(fits)
-    for effect in CATALOGUE:
-        values = effect.contains(inner) if inner.place.kind in effect.kinds else None
-        if values is None:
-            continue
-        placed = Placed(effect, inner.place, values)
-        start = Start(
-            placed, start_of(best.problem, best.fits["long"].theta, base.problems["long"])
-        )
-        found = refit(base, base.problems["long"], [start], scales[inner.place], rank=best.rank)
-        if found is not None:
-            same = [f for f in out if f.sites() == found.sites()]
-            if not same or _score(base, found, ("short", "long")) < _score(
-                base, same[0], ("short", "long")
-            ):
-                out = [f for f in out if f.sites() != found.sites()] + [found]
-    return out
-
-
-def _best_with_blocks(
-    base: Base, fits: Sequence[Refit], scales: dict[Place, Scales]
-) -> list[Refit]:
-    """Keep the best candidates on windows, fit those on whole stretches, and sort them all."""
-    horizons = ("short", "long")
-    ordered = sorted(fits, key=lambda f: _score(base, f, horizons))
-    clear = bool(ordered) and _score(base, ordered[0], horizons) < -LEAST_GAIN
-    promising = ordered[: SHOWN if clear else FEW]
-    done = [f if "block" in f.fits else with_block(base, f) for f in promising]
-    kept = [f for f in done if f.plausible(scales)]
-    return sorted(kept, key=lambda f: _score(base, f, tuple(base.fits)))
-
-
-def _score(base: Base, fit: Refit, horizons: Sequence[str]) -> float:
-    """Return the mean over horizons of n_eff log(squares after / before), plus extra log n_eff.
-
-    It is Bayes' information criterion (Schwarz, Ann. Stat. 6, 1978) with n over the residual's
-    correlation time for the number of samples.
-    """
-    total = 0.0
-    sizes: list[float] = []
-    for horizon in horizons:
-        size = effective_samples(base, fit, horizon)
-        sizes.append(size)
-        total += size * np.log(max(fit.ratio(base, horizon), 1e-12))
-    return float(total / len(horizons) + fit.extra * np.log(max(float(np.mean(sizes)), 2.0)))
-
-
-def effective_samples(base: Base, fit: Refit, horizon: str) -> float:
-    """Return the number of independent samples in a candidate's residual at a horizon."""
-    problem = base.problems[horizon]
-    return problem.measurements() / colour(problem, fit.fits[horizon])
-
-
-def _noise_like(base: Base, fit: Refit) -> bool:
-    """Say whether a candidate leaves no more than noise at every horizon."""
-    return all(
-        fit.fits[h].squares <= NOISE_LIKE * base.problems[h].measurements() for h in fit.fits
-    )
-
-
-def _explained(base: Base, fit: Refit) -> float:
-    """Return the share of the base's excess squares that a candidate removes, at its best long horizon."""
-    return max(_removed(base, fit, h) for h in fit.fits if h != "short")
-
-
-def _removed(base: Base, fit: Refit, horizon: str) -> float:
-    before, after = base.fits[horizon].squares, fit.fits[horizon].squares
-    floor = min(float(base.problems[horizon].measurements()), after)
-    return float((before - after) / max(before - floor, 1e-300)) if after < before else 0.0
-
-
-def _different(fits: Sequence[Refit]) -> list[Refit]:
-    """Leave out singles that contain, or are contained in, a better one at the same place."""
-    kept: list[Refit] = []
-    for fit in fits:
-        own = fit.added[0]
-        if not any(
-            o.added[0].place == own.place
-            and (
-                o.added[0].effect.name in own.effect.supersedes
-                or own.effect.name in o.added[0].effect.supersedes
-            )
-            for o in kept
-        ):
-            kept.append(fit)
-    return kept
-
-
-def _wanting_partners(base: Base, fits: Sequence[Refit]) -> list[Refit]:
-    """Return the singles beside which a second effect is looked for; none where one explains all.
-
-    An effect that contains a simpler one at its place may win only because its extra coefficients
-    imitate a second effect, so the simpler one gets its chance with a partner.
-    """
-    if not fits:
-        return []
-    best = fits[0]
-    simpler = [
-        f
-        for f in fits[1:]
-        if f.added[0].place == best.added[0].place
-        and f.added[0].effect.name in best.added[0].effect.supersedes
-    ]
-    if _explained(base, best) >= WELL_NAMED or _noise_like(base, best):
-        return [] if _noise_like(base, best) else simpler[:1]
-    return _different(fits)[:PARTNERS]
-
-
-def _pairs(
-    base: Base,
-    fits: Sequence[Refit],
-    singles: Sequence[Refit],
-    candidates: Sequence[tuple[Effect, Place]],
-) -> list[Refit]:
-    """Try a second effect beside some singles; keep a pair that halves what remains."""
-    found: list[Refit] = []
-    wanted = list(candidates)
-    most = PARTNERS - 1 if len(singles) > 1 else REFITS
-    for single in singles:
-        problems = {h: single.problem.with_windows(base.problems[h].windows) for h in single.fits}
-        rest = [
-            (effect, place)
-            for effect, place in possible_candidates(problems["long"])
-            if (effect, place) in wanted
-            and not any(
-                a.effect.name in effect.supersedes and a.place == place for a in single.added
-            )
-        ]
-        grounds = [(problems[h], single.fits[h]) for h in single.fits]
-        for group in _screened(grounds, rest, most, 1):
-            pair = refit(
-                base,
-                problems["long"],
-                _starts(group),
-                group[0].scales,
-                rank=single.rank,
-                already=single.added,
-            )
-            if pair is None:
-                continue
-            pair = with_block(base, pair)
-            if any(frozenset(f.sites()) == frozenset(pair.sites()) for f in found):
-                continue
-            if any(_halves(base, single, pair, h) for h in base.fits):
-                found.append(_ordered(base, pair, fits))
-    return found
-
-
-def _halves(base: Base, single: Refit, pair: Refit, horizon: str) -> bool:
-    floor = min(float(base.problems[horizon].measurements()), pair.fits[horizon].squares)
-    return pair.fits[horizon].squares - floor < 0.5 * (single.fits[horizon].squares - floor)
-
-
-def _ordered(base: Base, pair: Refit, singles: Sequence[Refit]) -> Refit:
-    """Put the effect first that does more for whole stretches by itself."""
-    horizon = "block" if "block" in base.fits else "long"
-    alone = {
-        f.sites()[0]: f.fits[horizon].squares
-        for f in singles
-        if len(f.added) == 1 and horizon in f.fits
-    }
-    worst = base.fits[horizon].squares
-    order = sorted(range(len(pair.added)), key=lambda k: alone.get(pair.sites()[k], worst))
-    return replace(pair, added=tuple(pair.added[k] for k in order))
 
 
 def _ranked(
@@ -412,8 +124,8 @@ def _ranked(
         out.append(
             Candidate(
                 refit=fit,
-                score=_score(base, fit, tuple(base.fits)),
-                explained=_explained(base, fit),
+                score=score(base, fit, tuple(base.fits)),
+                explained=explained(base, fit),
                 p_value=min(1.0, judgement.p_value * max(attempts, 1)),
                 judgement=judgement,
             )

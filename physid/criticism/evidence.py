@@ -1,264 +1,20 @@
-"""Evidence for a candidate: its refit, and its judgement on data that took no part in choosing it."""
+"""Evidence for a candidate: its judgement on data that took no part in choosing it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import norm
 
-from physid.errors import ModelError, NumericsError
-from physid.identification.force_balance import balance, observable, widths
+from physid.criticism.refit import Base, Refit
+from physid.errors import NumericsError
+from physid.identification.linearisation import linearise
 from physid.identification.noise import correlation_time
-from physid.identification.output_error import Estimate, Problem, linearise, minimise
+from physid.identification.problem import Estimate, Problem
 from physid.identification.screening import orthonormal
-from physid.identification.staged import LONG, SHORT, states_only
-from physid.identification.study import at_values
+from physid.identification.staged import states_only
 from physid.identification.uncertainty import bartlett
-from physid.identification.windows import Span
-from physid.plant.effect import Placed, Scales
-from physid.plant.model import Model
-from physid.plant.parameter import Parameter
-from physid.plant.structure import Place
-
-HORIZONS = {"short": SHORT, "long": LONG, "block": float("inf")}
-"""Window lengths in typical periods at which candidates are fitted and judged."""
-
-
-def choosing_spans(samples: int) -> list[Span]:
-    """Return the stretches used for choosing: the first and the fourth to fifth sixth-pairs of a record."""
-    sixth = samples // 6
-    return [(0, 2 * sixth), (3 * sixth, 5 * sixth)]
-
-
-def judging_spans(samples: int) -> list[Span]:
-    """Return the stretches kept for judging: a sixth after each stretch used for choosing."""
-    sixth = samples // 6
-    return [(2 * sixth, 3 * sixth), (5 * sixth, 6 * sixth)]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Base:
-    """The base model on the choosing data: problem and fit at each horizon."""
-
-    problems: dict[str, Problem]
-    fits: dict[str, Estimate]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Refit:
-    """A candidate fitted on the choosing data.
-
-    ``added`` are the effects it adds to the base model (their starting values); ``fits`` its estimate
-    per horizon; ``extra`` the number of coefficients more than the base has.
-    """
-
-    added: tuple[Placed, ...]
-    problem: Problem
-    fits: dict[str, Estimate]
-    extra: int
-    rank: int
-
-    @property
-    def fitted(self) -> tuple[Placed, ...]:
-        """The added effects at the values fitted on long windows."""
-        return self.fitted_at("long")
-
-    def fitted_at(self, horizon: str) -> tuple[Placed, ...]:
-        """Return the added effects at the values fitted at a horizon."""
-        model = at_values(self.problem.model, self.problem.parameters, self.fits[horizon].theta)
-        return tuple(next(p for p in model.effects if p.same_site(a)) for a in self.added)
-
-    def plausible(self, scales: Mapping[Place, Scales]) -> bool:
-        """Say whether every added effect still is itself at the values of every long horizon."""
-        return all(
-            p.effect.plausible(p.values, scales[p.place])
-            for horizon in self.fits
-            if horizon != "short"
-            for p in self.fitted_at(horizon)
-            if p.place in scales
-        )
-
-    def sites(self) -> tuple[tuple[str, str], ...]:
-        """The added effects as (effect, location) pairs."""
-        structure = self.problem.model.structure
-        return tuple((p.effect.name, structure.label(p.place)) for p in self.added)
-
-    def ratio(self, base: Base, horizon: str) -> float:
-        """Return squares after over squares before at a horizon."""
-        return self.fits[horizon].squares / max(base.fits[horizon].squares, 1e-300)
-
-
-def with_candidate(
-    problem: Problem, added: Sequence[Placed], scales: Scales | None = None
-) -> Problem:
-    """Return the problem with effects added and their coefficients freed, within the place's limits."""
-    limits = {c: b for p in added for c, b in p.effect.limits(scales).items()} if scales else {}
-    model = problem.model
-    before = set(model.effect_parameters())
-    for placed in added:
-        model = model.with_effect(placed)
-    fresh = [name for name in model.effect_parameters() if name not in before]
-    kept = [
-        p
-        for p in problem.parameters
-        if "@" not in p.name or p.name in set(model.effect_parameters())
-    ]
-    extra = [_sized(model, name, limits.get(name.rsplit(".", 1)[1])) for name in fresh]
-    return replace(problem, model=model, parameters=(*kept, *extra))
-
-
-def _sized(model: Model, name: str, limit: tuple[float, float] | None) -> Parameter:
-    parameter = model.parameter(name)
-    lower, upper = limit or (parameter.lower, parameter.upper)
-    value = min(max(parameter.value, lower), upper)
-    return replace(parameter, value=value, lower=lower, upper=upper, scale=abs(value) or 1e-6)
-
-
-def start_of(base: Problem, theta: np.ndarray, candidate: Problem) -> np.ndarray:
-    """Return a starting vector for a candidate: the base's values, and the effects' own."""
-    known = {p.name: v for p, v in zip(base.parameters, theta, strict=True)}
-    return np.array([known.get(p.name, p.value) for p in candidate.parameters])
-
-
-@dataclass(frozen=True, slots=True)
-class Start:
-    """Where a refit starts: the effect at its place, and the other parameters (p,)."""
-
-    placed: Placed
-    theta: np.ndarray
-
-
-def refit(
-    base: Base,
-    inner: Problem,
-    starts: Sequence[Start],
-    scales: Scales,
-    *,
-    rank: int,
-    already: tuple[Placed, ...] = (),
-) -> Refit | None:
-    """Fit a candidate from several starts, on short windows and then on long ones.
-
-    Parameters
-    ----------
-    base : Base
-    inner : Problem
-        The base problem, with the effects of ``already`` in it.
-    starts : sequence of Start
-        The effect at several starting values.
-    scales : Scales
-        How large things are at its place.
-
-    Returns
-    -------
-    Refit or None
-        The best; None if none can be simulated or none is plausible.
-    """
-    best: Refit | None = None
-    for start in _promising(base, inner, [*starts, *_by_balance(inner, starts)], scales):
-        trial = with_candidate(inner, (start.placed,), scales)
-        fits = _fit_horizons(base, trial, start_of(inner, start.theta, trial))
-        if fits is None:
-            continue
-        added = (*already, start.placed)
-        extra = sum(len(p.effect.coefficients) for p in added)
-        found = Refit(added=added, problem=trial, fits=fits, extra=extra, rank=rank)
-        if not start.placed.effect.plausible(found.fitted[-1].values, scales):
-            continue
-        if best is None or sum(_logs(found, base)) < sum(_logs(best, base)):
-            best = found
-    return best
-
-
-def _promising(base: Base, inner: Problem, starts: Sequence[Start], scales: Scales) -> list[Start]:
-    """Keep the start that is best on long windows; three for an effect whose shape is fitted."""
-    if len(starts) < 2:
-        return list(starts)
-    costs = []
-    for start in starts:
-        trial = with_candidate(inner, (start.placed,), scales).with_windows(
-            base.problems["long"].windows
-        )
-        try:
-            fit = minimise(
-                trial, start_of(inner, start.theta, trial), base.fits["long"].states, iterations=1
-            )
-            costs.append(fit.chi2)
-        except (NumericsError, ModelError):
-            costs.append(float("inf"))
-    shaped = any(c.shape for c in starts[0].placed.effect.coefficients)
-    order = np.argsort(costs)[: 3 if shaped else 1]
-    return [starts[k] for k in order if np.isfinite(costs[k])]
-
-
-def _by_balance(inner: Problem, starts: Sequence[Start]) -> list[Start]:
-    """Start once more from the force balance, where every joint is seen and the law is linear."""
-    experiments = list({id(w.experiment): w.experiment for w in inner.windows}.values())
-    placed = starts[0].placed
-    linear = not any(c.shape or c.fixed for c in placed.effect.coefficients)
-    if not linear or placed.place.kind == "actuator":
-        return []
-    if not all(observable(inner.model, e) for e in experiments):
-        return []
-    trial = with_candidate(inner, (placed,))
-    width = float(widths(experiments)[1])
-    try:
-        simulator = inner.windows[0].simulator
-        theta = balance(
-            trial.model, trial.parameters, experiments, width, simulator=simulator
-        ).theta
-    except (np.linalg.LinAlgError, ValueError, ModelError):
-        return []
-    own = {p.name: v for p, v in zip(trial.parameters, theta, strict=True)}
-    values = {
-        c.name: own[trial.model.coefficient_name(placed, c)] for c in placed.effect.coefficients
-    }
-    return [
-        Start(
-            placed.with_values(values),
-            np.array([own.get(p.name, p.value) for p in inner.parameters]),
-        )
-    ]
-
-
-def _logs(fit: Refit, base: Base) -> list[float]:
-    return [float(np.log(fit.ratio(base, h))) for h in ("short", "long")]
-
-
-def _fit_horizons(base: Base, trial: Problem, start: np.ndarray) -> dict[str, Estimate] | None:
-    brief = trial.with_windows(base.problems["short"].windows)
-    long = trial.with_windows(base.problems["long"].windows)
-    try:
-        short_fit = minimise(brief, start, base.fits["short"].states, iterations=8, tolerance=2e-3)
-        long_fit = minimise(
-            long, short_fit.theta, base.fits["long"].states, iterations=8, tolerance=2e-3
-        )
-        if long_fit.chi2 > 0.9 * base.fits["long"].chi2:
-            other = minimise(long, start, base.fits["long"].states, iterations=8, tolerance=2e-3)
-            long_fit = min(long_fit, other, key=lambda e: e.chi2)
-    except (NumericsError, ModelError):
-        return None
-    return {"short": short_fit, "long": long_fit}
-
-
-def with_block(base: Base, fit: Refit) -> Refit:
-    """Fit a candidate on whole stretches too, where the base model can be simulated over them."""
-    if "block" not in base.fits:
-        return fit
-    problem = fit.problem.with_windows(base.problems["block"].windows)
-    tried = []
-    for horizon in ("long", "short"):
-        try:
-            tried.append(minimise(problem, fit.fits[horizon].theta, iterations=10, tolerance=2e-3))
-        except (NumericsError, ModelError):
-            continue
-        if tried[-1].chi2 < 0.5 * base.fits["block"].chi2:
-            break
-    if not tried:
-        return replace(fit, fits={**fit.fits, "block": base.fits["block"]})
-    return replace(fit, fits={**fit.fits, "block": min(tried, key=lambda e: e.chi2)})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -282,19 +38,25 @@ def judge(judging: dict[str, Problem], base: Base, candidate: Refit) -> Judgemen
     base's residual is regressed on the difference the candidate makes, with what the base's own
     parameters could explain projected out of it; the regression's t-value uses a long-run variance
     (Bartlett kernel), so coloured residuals do not feign significance.  The smallest p-value over the
-    horizons, times their number, is reported.
+    horizons, times their number, is reported.  A horizon over which one of them diverges tells nothing.
     """
     p_values = []
-    shown: tuple[Problem, Estimate, Estimate] | None = None
+    shown: dict[str, tuple[Problem, Estimate, Estimate]] = {}
     for horizon, problem in judging.items():
         if horizon not in candidate.fits or horizon not in base.fits:
             continue
-        before, after, t_values = _compare(problem, base, candidate, horizon)
+        try:
+            before, after, t_values = _compare(problem, base, candidate, horizon)
+        except NumericsError:
+            continue
         p_values += [float(norm.sf(t)) for t in t_values]
-        if horizon == "long":
-            shown = (problem, before, after)
-    assert shown is not None
-    problem, before, after = shown
+        shown[horizon] = (problem, before, after)
+    if not shown:
+        blank = np.full(len(candidate.problem.sigma), np.nan)
+        return Judgement(
+            p_value=1.0, squares_before=np.inf, squares_after=np.inf, before=blank, after=blank
+        )
+    problem, before, after = shown.get("long") or next(iter(shown.values()))
     return Judgement(
         p_value=min(1.0, min(p_values) * len(p_values)),
         squares_before=before.squares,
@@ -312,10 +74,8 @@ def _compare(
 ) -> tuple[Estimate, Estimate, tuple[float, float]]:
     """Return the base's and the candidate's fits of initial states on judging windows, and two t-values."""
     theta = base.fits[horizon].theta
-    old = replace(problem, model=at_values(problem.model, problem.parameters, theta))
-    new_model = at_values(
-        candidate.problem.model, candidate.problem.parameters, candidate.fits[horizon].theta
-    )
+    old = replace(problem, model=problem.at(theta))
+    new_model = candidate.problem.at(candidate.fits[horizon].theta)
     new = replace(candidate.problem, windows=problem.windows, model=new_model)
     before, after = states_only(old), states_only(new)
     point = linearise(old, theta, before.states, before.residuals)

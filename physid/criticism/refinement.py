@@ -26,13 +26,14 @@ from physid.criticism.comparison import (
     parameters_of,
 )
 from physid.criticism.diagnosis import NAMED, NAMED_BESIDE, Candidate, Diagnosis, diagnose_study
-from physid.criticism.evidence import start_of, with_candidate
 from physid.criticism.localisation import where
 from physid.criticism.pictures import diagnosis_curves, tested_curves
+from physid.criticism.refit import start_of, with_candidate
 from physid.effects.catalogue import load_model_text
-from physid.identification.accuracy import for_engine
-from physid.identification.fitting import Fitted, fit_study
-from physid.identification.output_error import Estimate, Problem, minimise
+from physid.identification.accuracy import for_engine, with_substeps
+from physid.identification.fitting import FAR_WORSE, Fitted, fit_study
+from physid.identification.output_error import minimise
+from physid.identification.problem import Estimate, Problem
 from physid.identification.staged import states_only
 from physid.identification.study import Options, Study, as_model, experiments_of, prepare
 from physid.identification.windows import whole
@@ -129,11 +130,13 @@ def candidate_rows(study: Study, found: Diagnosis) -> list[dict[str, Any]]:
 
 
 def with_effects(study: Study, candidate: Candidate) -> Study:
-    """Return the study with a candidate's effects in its model, at their fitted values."""
+    """Return the study with a candidate's effects in its model, at the values fitted on long windows.
+
+    Those on whole stretches are nearer where they are right, but may be in a minimum of their own.
+    """
     fit = candidate.refit
-    horizon = "block" if "block" in fit.fits else "long"
     problem = fit.problem.with_windows(study.problem.windows)
-    return replace(study, problem=problem, theta=fit.fits[horizon].theta)
+    return replace(study, problem=problem, theta=fit.fits["long"].theta)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -202,8 +205,16 @@ def refine(
             remaining = "nothing_missing" if _is_noise(steps[-1].fitted) else "unexplained"
             break
     assert first is not None
+    if remaining == "nothing_missing" and not _holds_on_whole_records(steps[-1].fitted, found):
+        remaining = "unexplained"
     settings.report("writing the refined model", 0.95)
     return _refinement(study, tests, steps, first, remaining)
+
+
+def _holds_on_whole_records(fitted: Fitted, found: Diagnosis) -> bool:
+    """Say whether whole records are fitted about as well as windows, where nothing more was found."""
+    mean = fitted.estimate.squares / fitted.problem.measurements()
+    return mean < FAR_WORSE * max(found.noise_ratio, 1.0)
 
 
 def _is_noise(fitted: Fitted) -> bool:
@@ -266,6 +277,12 @@ def _refinement(
 ) -> Refinement:
     last = steps[-1].fitted
     filed, error = for_engine(last.problem, last.estimate.theta, last.estimate.states)
+    if steps[-1].tested is not None:
+        # Numerical accuracy only: the test records' motion may need a finer step.
+        problem, estimate = steps[-1].tested
+        finer, other = for_engine(problem, estimate.theta, estimate.states)
+        needed = max(p.windows[0].simulator.substeps for p in (filed, finer))
+        filed, error = with_substeps(filed, needed), max(error, other)
     xml = last.model.to_xml(filed.windows[0].simulator.step)
     steps[-1], reread = _from_file(steps[-1], xml, filed, tests)
     train = channel_rows(last.problem, steps[-1].fitted.estimate)

@@ -11,7 +11,7 @@ import numpy as np
 
 from physid.effects.catalogue import add_effects
 from physid.errors import DivergedError, InputError
-from physid.identification.output_error import with_activations
+from physid.identification.problem import with_activations
 from physid.identification.study import as_model
 from physid.plant.model import Model
 from physid.plant.simulation import Hold, Rollout, Simulator

@@ -150,7 +150,7 @@ class StribeckFriction(Effect):
             shape=True,
         ),
     )
-    speeds: ClassVar[tuple[float, ...]] = (0.05, 0.15, 0.4)
+    speeds: ClassVar[tuple[float, ...]] = (0.05, 0.15, 0.4, 0.8)
 
     def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
         add_friction_loss(spec, place, values["force"])
@@ -192,7 +192,7 @@ class StribeckFriction(Effect):
 
     def limits(self, scales: Scales) -> Mapping[str, tuple[float, float]]:
         # A fall that stretches over all speeds is not Stribeck's: it imitates drag or damping.
-        return {"stribeck_velocity": (1e-3 * scales.speed, 0.5 * scales.speed)}
+        return {"stribeck_velocity": (1e-3 * scales.speed, scales.speed)}
 
     def plausible(self, values: Mapping[str, float], scales: Scales) -> bool:
         force, static = values["force"], values["static_force"]

@@ -106,7 +106,17 @@ class Cogging(Effect):
         ),
         Coefficient(name="phase", unit="rad", meaning="angle at q = 0", lower=-np.inf, shape=True),
     )
-    most_periods: ClassVar[int] = 36
+    tried: ClassVar[tuple[int, ...]] = (
+        *range(2, 37),
+        *range(38, 61, 2),
+        66,
+        72,
+        78,
+        84,
+        90,
+        96,
+        120,
+    )
 
     def plausible(self, values: Mapping[str, float], scales: Scales) -> bool:
         return in_proportion(values["amplitude"], scales)
@@ -117,7 +127,7 @@ class Cogging(Effect):
         )
 
     def trials(self, scales: Scales) -> Sequence[Trial]:
-        return tuple(ripple_trial(SMALL * scales.force, n) for n in range(2, self.most_periods + 1))
+        return tuple(ripple_trial(SMALL * scales.force, n) for n in self.tried)
 
     def start(self, trial: Trial, amplitudes: np.ndarray, scales: Scales) -> dict[str, float]:
         size, phase = polar(trial.columns[0]["amplitude"] * amplitudes)

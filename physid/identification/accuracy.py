@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from physid.identification.output_error import Problem, residuals_of
+from physid.identification.problem import Problem, residuals_of
 from physid.identification.windows import Windows
 
 FINEST = 16

@@ -12,19 +12,22 @@ from physid.errors import ModelError, NumericsError
 from physid.identification.accuracy import SHARE_OF_RESULT, as_engine, refine_steps
 from physid.identification.experiment import Experiment
 from physid.identification.force_balance import Balance, balance, observable, widths
-from physid.identification.output_error import Estimate, Problem, residuals_of
+from physid.identification.problem import Estimate, Problem, residuals_of
 from physid.identification.staged import (
     LONG,
+    fit_growing,
     fit_whole,
     fit_windows,
     on_whole_records,
     states_only,
     windowed,
 )
-from physid.identification.study import Study, at_values
+from physid.identification.study import Study
 from physid.identification.uncertainty import Uncertainty, uncertainty_of
 from physid.plant.model import Model
 
+FAR_WORSE = 1.3
+"""Mean squares on whole records, relative to those on windows, that tell of a wrong minimum."""
 QUIET = 0.1
 """Largest share of noise in the accelerations of a closing force balance."""
 CLOSING_POINTS = 8000
@@ -47,7 +50,7 @@ class Fitted:
     @property
     def model(self) -> Model:
         """The model at the fitted values."""
-        return at_values(self.problem.model, self.problem.parameters, self.estimate.theta)
+        return self.problem.at(self.estimate.theta)
 
 
 def fit_study(study: Study, *, from_windows: bool = True) -> Fitted:
@@ -60,11 +63,13 @@ def fit_study(study: Study, *, from_windows: bool = True) -> Fitted:
     from_windows : bool
         Fit long windows first.
     """
-    theta = study.theta
-    if study.problem.parameters and from_windows:
-        theta = fit_windows(windowed(study.problem, LONG), theta).theta
     problem = on_whole_records(study.problem)
-    estimate = fit_whole(problem, theta) if problem.parameters else _frozen(problem)
+    if not problem.parameters:
+        estimate = _frozen(problem)
+    elif from_windows:
+        estimate = _from_windows(study)
+    else:
+        estimate = fit_whole(problem, study.theta)
     problem, error = refine_steps(
         problem,
         estimate.theta,
@@ -75,6 +80,22 @@ def fit_study(study: Study, *, from_windows: bool = True) -> Fitted:
     if problem.windows[0].simulator.substeps != study.simulator.substeps:
         estimate = _again(problem, estimate)
     return confirmed(problem, estimate, error)
+
+
+def _from_windows(study: Study) -> Estimate:
+    """Fit long windows, then whole records; through growing ones where these are fitted far worse."""
+    windows = windowed(study.problem, LONG)
+    near = fit_windows(windows, study.theta)
+    problem = on_whole_records(study.problem)
+    estimate = fit_whole(problem, near.theta, [x[:1] for x in near.states])
+    expected = near.squares / windows.measurements()
+    if estimate.squares < FAR_WORSE * expected * problem.measurements():
+        return estimate
+    try:
+        other = fit_growing(problem, near.theta)
+    except NumericsError:
+        return estimate
+    return min(estimate, other, key=lambda e: e.chi2)
 
 
 def _frozen(problem: Problem, states: list[np.ndarray] | None = None) -> Estimate:

@@ -19,7 +19,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import lsq_linear
 
 from physid.identification.experiment import Experiment, kinematics_of, period_of
-from physid.identification.output_error import parameter_steps
+from physid.identification.linearisation import parameter_steps
 from physid.plant.assembly import network_of, rates_of
 from physid.plant.callback import run_time_laws
 from physid.plant.model import Model, Plant

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from physid.errors import InputError
-from physid.identification.output_error import Problem, linearise, residuals_of
+from physid.identification.linearisation import linearise
+from physid.identification.problem import Problem, residuals_of
 from physid.plant.model import Model
 from physid.plant.parameter import Parameter, every_name
 

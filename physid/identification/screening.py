@@ -8,7 +8,7 @@ Breusch, Pagan 1980).  Nothing is differentiated and no candidate is fitted yet.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -16,14 +16,8 @@ import numpy as np
 
 from physid.effects.catalogue import CATALOGUE, places_of
 from physid.errors import ModelError
-from physid.identification.output_error import (
-    Estimate,
-    Linearisation,
-    Problem,
-    linearise,
-    residuals_of,
-    with_activations,
-)
+from physid.identification.linearisation import Linearisation, linearise
+from physid.identification.problem import Estimate, Problem, residuals_of, with_activations
 from physid.plant.callback import run_time_laws
 from physid.plant.effect import Effect, Placed, Scales, Trial
 from physid.plant.parameter import element_id
@@ -236,9 +230,12 @@ def thinned_fit(problem: Problem, estimate: Estimate) -> tuple[Problem, Estimate
 
 
 def screen(
-    problem: Problem, estimate: Estimate, candidates: Sequence[tuple[Effect, Place]]
+    problem: Problem,
+    estimate: Estimate,
+    candidates: Sequence[tuple[Effect, Place]],
+    per_effect: int = 3,
 ) -> list[Scored]:
-    """Score every candidate; best first.
+    """Score every candidate in all its shapes.
 
     Parameters
     ----------
@@ -247,52 +244,86 @@ def screen(
     estimate : Estimate
         Its fit there.
     candidates : sequence of (Effect, Place)
+    per_effect : int
+        Best shapes that are kept of each effect at each place.
+
+    Returns
+    -------
+    list of Scored
+        Best first.
     """
     ground = ground_of(*thinned_fit(problem, estimate))
-    found = []
+    found: list[Scored] = []
     for effect, place in candidates:
-        scales = ground.scales.get(place)
-        if scales is None:
-            continue
-        for trial in effect.trials(scales):
-            scored = _score(ground, effect, place, trial, scales)
-            if scored is not None:
-                found.append(scored)
+        if place in ground.scales:
+            own = sorted(_scores(ground, effect, place), key=lambda s: -s[0])
+            found += [_started(ground, effect, place, *s) for s in own[:per_effect]]
     return sorted(found, key=lambda s: -s.gain)
 
 
-def _score(
-    ground: Ground, effect: Effect, place: Place, trial: Trial, scales: Scales
-) -> Scored | None:
-    directions = []
+def _scores(
+    ground: Ground, effect: Effect, place: Place
+) -> list[tuple[float, Trial, np.ndarray, np.ndarray]]:
+    """Return gain, trial, amplitudes (c,) and response (m,) of every shape of an effect."""
+    trials = list(effect.trials(ground.scales[place]))
+    responses = iter(_responses(ground, effect, place, [c for t in trials for c in t.columns]))
+    found = []
+    for trial in trials:
+        block = np.column_stack([next(responses) for _ in trial.columns])
+        if not np.isfinite(block).all():
+            continue
+        rest = block - ground.basis @ (ground.basis.T @ block)
+        sizes = np.linalg.norm(rest, axis=0)
+        if not np.all(sizes > 1e-9):
+            continue
+        amplitudes = np.linalg.lstsq(rest / sizes, ground.remaining, rcond=1e-6)[0] / sizes
+        explained = rest @ amplitudes
+        gain = float(2 * explained @ ground.remaining - explained @ explained)
+        found.append((gain, trial, amplitudes, block @ amplitudes))
+    return found
+
+
+def _responses(
+    ground: Ground, effect: Effect, place: Place, columns: Sequence[Mapping[str, float]]
+) -> list[np.ndarray]:
+    """Simulate small effects along the fitted windows; return what initial states leave, (m,) each.
+
+    The effect's coefficients are the only parameters of this problem, so all are run together.
+    """
+    fitted = ground.problem.at(ground.estimate.theta)
+    model = fitted.with_effect(Placed(effect, place, columns[0]))
+    site = model.site(model.effects[-1])
+    names = [c.name for c in effect.coefficients]
+    parameters = tuple(model.parameter(f"{site}.{name}") for name in names)
+    changed = replace(ground.problem, model=model, parameters=parameters)
+    thetas = [np.array([float(column[name]) for name in names]) for column in columns]
+    try:
+        runs = residuals_of(changed, thetas, [ground.estimate.states] * len(thetas))
+    except ModelError:
+        return [np.full(ground.remaining.shape, np.nan)] * len(thetas)
     base = ground.estimate.residuals
-    for values in trial.columns:
-        changed = replace(
-            ground.problem, model=ground.problem.model.with_effect(Placed(effect, place, values))
-        )
-        try:
-            run = residuals_of(changed, [ground.estimate.theta], [ground.estimate.states])[0]
-        except ModelError:
-            return None
-        directions.append(
-            ground.point.without_states([b - r for b, r in zip(base, run, strict=True)])
-        )
-    block = np.column_stack(directions)
-    if not np.isfinite(block).all():
-        return None
-    rest = block - ground.basis @ (ground.basis.T @ block)
-    sizes = np.linalg.norm(rest, axis=0)
-    if not np.all(sizes > 1e-9):
-        return None
-    amplitudes = np.linalg.lstsq(rest / sizes, ground.remaining, rcond=1e-6)[0] / sizes
-    explained = rest @ amplitudes
+    return [
+        ground.point.without_states([b - r for b, r in zip(base, run, strict=True)]) for run in runs
+    ]
+
+
+def _started(
+    ground: Ground,
+    effect: Effect,
+    place: Place,
+    gain: float,
+    trial: Trial,
+    amplitudes: np.ndarray,
+    response: np.ndarray,
+) -> Scored:
+    scales = ground.scales[place]
     return Scored(
         effect=effect,
         place=place,
         trial=trial,
-        gain=float(2 * explained @ ground.remaining - explained @ explained),
+        gain=gain,
         start=Placed(effect, place, effect.start(trial, amplitudes, scales)),
-        theta=_making_room(ground, block @ amplitudes),
+        theta=_making_room(ground, response),
         scales=scales,
     )
 
@@ -313,9 +344,6 @@ def _making_room(ground: Ground, response: np.ndarray) -> np.ndarray:
     return np.asarray(np.clip(moved, lower, upper))
 
 
-def shortlist(scored: Sequence[Scored], most: int, per_effect: int = 2) -> list[list[Scored]]:
-    """Group the best trials by effect and place: at most ``most`` groups of ``per_effect`` trials."""
-    groups: dict[tuple[str, Place], list[Scored]] = {}
-    for s in scored:
-        groups.setdefault((s.effect.name, s.place), []).append(s)
-    return [group[:per_effect] for group in list(groups.values())[:most]]
+def shortlist(scored: Sequence[Scored], most: int) -> list[tuple[str, Place]]:
+    """Return the first so many effects and places, in the order of their best scores."""
+    return list(dict.fromkeys((s.effect.name, s.place) for s in scored))[:most]

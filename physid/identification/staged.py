@@ -9,13 +9,16 @@ import numpy as np
 
 from physid.errors import ConvergenceError, DivergedError, ModelError
 from physid.identification.force_balance import balance, observable, widths
-from physid.identification.output_error import Estimate, Problem, minimise
-from physid.identification.windows import Span, cut, typical_period, whole
+from physid.identification.output_error import minimise
+from physid.identification.problem import Estimate, Problem
+from physid.identification.windows import Span, Windows, cut, typical_period, whole
 
 SHORT, LONG = 0.3, 1.5
 """Window lengths in typical periods of the motion."""
 FEWEST = 12
 """Windows that are kept however long they are."""
+LEAST_BEGINNING = 200
+"""Samples below which the beginning of a window is not fitted by itself."""
 ENOUGH = 5000
 """Samples used while a start is looked for."""
 Progress = Callable[[str, float], None]
@@ -119,8 +122,7 @@ def _cost(problem: Problem, theta: np.ndarray) -> float:
 
 
 def _frozen(problem: Problem, theta: np.ndarray) -> Problem:
-    values = {p.name: float(v) for p, v in zip(problem.parameters, theta, strict=True)}
-    return replace(problem, model=problem.model.with_values(values), parameters=())
+    return replace(problem, model=problem.at(theta), parameters=())
 
 
 def fit_windows(
@@ -158,7 +160,42 @@ def fit_whole(
     return estimate
 
 
+def fit_growing(problem: Problem, theta: np.ndarray) -> Estimate:
+    """Fit windows that double in length from a sixteenth of the records, then the whole.
+
+    Where a motion soon forgets its start, the misfit of a whole record has minima that windows have
+    not; windows that grow lead from theirs to the right one.  Each starts from the state found for
+    the first of the two it joins.
+
+    Raises
+    ------
+    DivergedError, ConvergenceError
+        If the simulation diverges or no minimum is reached.
+    """
+    states = None
+    for pieces in (16, 8, 4, 2):
+        joined = problem.with_windows([_in_pieces(w, pieces) for w in problem.windows])
+        found = minimise(joined, theta, states, iterations=20)
+        theta, states = found.theta, [x[::2] for x in found.states]
+    return fit_whole(problem, theta, states)
+
+
+def _in_pieces(windows: Windows, pieces: int) -> Windows:
+    """Return windows of a power of two of equal pieces, which start where shorter ones start."""
+    least = windows.experiment.samples // 16
+    samples = least * (16 // pieces)
+    return replace(windows, starts=np.arange(pieces) * samples, samples=samples)
+
+
 def states_only(problem: Problem, states: list[np.ndarray] | None = None) -> Estimate:
-    """Estimate the initial states alone, every parameter frozen."""
+    """Estimate the initial states alone, every parameter frozen.
+
+    Guessed ones are first fitted to the beginning of each window, which doubles until it is whole.
+    """
     frozen = replace(problem, parameters=())
+    for share in (16, 8, 4, 2) if states is None else ():
+        begun = [replace(w, samples=w.samples // share) for w in frozen.windows]
+        if min(w.samples for w in begun) < LEAST_BEGINNING:
+            continue
+        states = minimise(frozen.with_windows(begun), np.zeros(0), states, iterations=6).states
     return minimise(frozen, np.zeros(0), states, iterations=12, tolerance=1e-5)

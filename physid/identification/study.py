@@ -20,7 +20,8 @@ from physid.identification.experiment import (
 )
 from physid.identification.freedom import candidates, identifiable, named
 from physid.identification.noise import noise_level
-from physid.identification.output_error import Problem, minimise
+from physid.identification.output_error import minimise
+from physid.identification.problem import Problem
 from physid.identification.screening import screen
 from physid.identification.staged import (
     ENOUGH,
@@ -39,6 +40,8 @@ from physid.plant.simulation import Hold, Simulator, make_simulator
 
 Progress = Callable[[str, float], None]
 HoldChoice = Literal["zero", "first", "smooth", "auto"]
+MOST_SHAPES = 1000
+"""Shapes of an added effect that are looked through for one with the values given."""
 CLEARLY = 0.7
 """Another kind of hold must lower the squares on windows to this share to be preferred."""
 
@@ -79,7 +82,7 @@ class Study:
     @property
     def model(self) -> Model:
         """The model at the study's parameter values."""
-        return at_values(self.problem.model, self.problem.parameters, self.theta)
+        return self.problem.at(self.theta)
 
     @property
     def experiments(self) -> list[Experiment]:
@@ -90,11 +93,6 @@ class Study:
     def simulator(self) -> Simulator:
         """The simulator of the first record."""
         return self.problem.windows[0].simulator
-
-
-def at_values(model: Model, parameters: Sequence[Parameter], theta: np.ndarray) -> Model:
-    """Return a model at the values theta (p,) of some parameters."""
-    return model.with_values({p.name: float(v) for p, v in zip(parameters, theta, strict=True)})
 
 
 def as_model(model: Model | str | os.PathLike[str]) -> Model:
@@ -170,14 +168,14 @@ def _started(problem: Problem, free: set[str]) -> tuple[Problem, list[np.ndarray
     bare = replace(problem, model=replace(model, effects=kept), parameters=plain)
     ground_problem = thinned(windowed(bare, LONG), ENOUGH)
     theta = starting_point(bare)
-    frozen = replace(ground_problem, model=at_values(bare.model, plain, theta))
+    frozen = replace(ground_problem, model=bare.at(theta))
     ground = replace(states_only(frozen), theta=theta)
     found: dict[str, float] = {}
     for placed in blank:
         given = {c: v for c, v in placed.values.items() if names[id(placed)][c] not in free}
         scored = [
             s
-            for s in screen(ground_problem, ground, [(placed.effect, placed.place)])
+            for s in screen(ground_problem, ground, [(placed.effect, placed.place)], MOST_SHAPES)
             if all(
                 s.start.values[c.name] == given[c.name]
                 for c in placed.effect.coefficients
@@ -333,7 +331,6 @@ __all__ = [
     "Progress",
     "Study",
     "as_model",
-    "at_values",
     "experiments_of",
     "on_whole_records",
     "prepare",

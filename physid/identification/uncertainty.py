@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from physid.identification.linearisation import linearise, normal_equations
 from physid.identification.noise import correlation_time
-from physid.identification.output_error import Estimate, Problem, linearise, normal_equations
+from physid.identification.problem import Estimate, Problem
 
 WIDEST = 400
 """Most lags of the Bartlett kernel, samples."""

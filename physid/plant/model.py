@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -42,12 +42,24 @@ class Plant:
     """A model compiled at given values: what the two back ends simulate.
 
     ``delays`` (nu,) [s] and ``conditioners`` act on the input before the engine sees it.
+    ``time_constants`` (nactuator,) [s] are those of first-order actuators, else 0.  A plant of a family
+    (:mod:`physid.plant.family`) carries its network, and compiles its ``source`` only for the engine.
     """
 
     model: mujoco.MjModel
     elements: tuple[Element, ...]
     delays: np.ndarray
     conditioners: tuple[tuple[int, Placed], ...]
+    time_constants: np.ndarray
+    network: Any = None
+    source: tuple[Model, Mapping[str, float]] | None = None
+
+    def compiled(self) -> Plant:
+        """Return the plant with its model compiled at its own values."""
+        if self.source is None:
+            return self
+        model, values = self.source
+        return model.with_values(values).compile(self.model.opt.timestep)
 
 
 @dataclass(frozen=True)
@@ -178,6 +190,17 @@ class Model:
         )
         return replace(self, values={**self.values, **plain}, effects=placed)
 
+    def fixed_values(self, free: Collection[str]) -> tuple[object, ...]:
+        """Return all that tells this model from others of the same MJCF, free parameters aside."""
+        plain = tuple(sorted((k, v) for k, v in self.values.items() if k not in free))
+        own = tuple(
+            (name, value)
+            for p in self.effects
+            for c, value in sorted(p.values.items())
+            if (name := f"{self.site(p)}.{c}") not in free
+        )
+        return plain, tuple(self.site(p) for p in self.effects), own
+
     def with_effect(self, placed: Placed) -> Model:
         """Return the model with one effect more; effects it contains at that place are dropped."""
         kept = tuple(
@@ -225,6 +248,11 @@ class Model:
                 (self.structure.inputs.index(p.place.name), p)
                 for p in self.effects
                 if type(p.effect).condition is not Effect.condition
+            ),
+            time_constants=np.where(
+                model.actuator_dyntype == int(mujoco.mjtDyn.mjDYN_FILTER),
+                model.actuator_dynprm[:, 0],
+                0.0,
             ),
         )
 

@@ -19,7 +19,7 @@ from physid.plant.assembly import agrees, network_of
 from physid.plant.callback import run_time_laws
 from physid.plant.engine import simulate_engine
 from physid.plant.model import Model, Plant
-from physid.plant.network import integrate
+from physid.plant.network import Network, integrate
 from physid.plant.structure import Structure
 
 Hold = Literal["zero", "first", "smooth"]
@@ -153,7 +153,13 @@ class Simulator:
             if found is not None:
                 return found
         runs = simulate_engine(
-            plants, initial, controls, starts, samples, self.substeps, self.threads
+            [plant.compiled() for plant in plants],
+            initial,
+            controls,
+            starts,
+            samples,
+            self.substeps,
+            self.threads,
         )
         channels = [c.address for c in self.structure.channels]
         return [Rollout(outputs[:, :, channels], states) for outputs, states in runs]
@@ -166,10 +172,8 @@ class Simulator:
         starts: np.ndarray,
         samples: int,
     ) -> list[Rollout] | None:
-        data = mujoco.MjData(plants[0].model)
-        read = {id(plant): network_of(plant, data) for plant in {id(p): p for p in plants}.values()}
-        networks = [read[id(plant)] for plant in plants]
-        if any(network is None for network in networks):
+        networks = networks_of(plants, exact=self.exact)
+        if networks is None:
             return None
         nv = self.structure.nv
         states = [np.empty((len(starts), samples, x.shape[1])) for x in initial]
@@ -210,6 +214,27 @@ class Simulator:
         if rates.size:
             outputs += rates[:, :, :nv] @ self.sensor_map[:, 1 + 2 * nv :].T
         return np.asarray(outputs)
+
+
+def networks_of(plants: Sequence[Plant], *, exact: bool) -> list[Network] | None:
+    """Return the plants as networks, each read once; None if one is none.
+
+    A family's networks have Coulomb's law alone, so those for the engine's friction are read anew.
+    """
+    found: dict[int, Network] = {}
+    data: mujoco.MjData | None = None
+    for plant in plants:
+        if id(plant) in found:
+            continue
+        network = plant.network if exact else None
+        if network is None:
+            whole = plant.compiled()
+            data = data or mujoco.MjData(whole.model)
+            network = network_of(whole, data)
+        if network is None:
+            return None
+        found[id(plant)] = network
+    return [found[id(plant)] for plant in plants]
 
 
 def between_samples(inputs: np.ndarray, substeps: int, hold: Hold) -> np.ndarray:

@@ -6,7 +6,7 @@ from scipy.linalg import expm
 
 from physid.effects.catalogue import load_model
 from physid.identification.experiment import Experiment, ranges_of
-from physid.identification.output_error import Problem
+from physid.identification.problem import Problem
 from physid.identification.windows import whole
 from physid.plant.simulation import make_simulator
 from physid.record import Record

@@ -8,13 +8,9 @@ from scipy.optimize import least_squares
 
 from physid.errors import DivergedError
 from physid.identification.accuracy import refine_steps
-from physid.identification.output_error import (
-    differences,
-    linearise,
-    minimise,
-    residuals_of,
-    with_activations,
-)
+from physid.identification.linearisation import differences, linearise
+from physid.identification.output_error import minimise
+from physid.identification.problem import residuals_of, with_activations
 from physid.identification.staged import thinned, windowed
 from physid.identification.windows import cut, initial_states, whole
 from tests.plant.rigs import PENDULUM, SERVOS, inputs_for, load_text, oscillator, plain, run

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from physid.identification.output_error import linearise, minimise, normal_equations
+from physid.identification.linearisation import linearise, normal_equations
+from physid.identification.output_error import minimise
 from physid.identification.uncertainty import bartlett, uncertainty_of
 
 from .rigs import (

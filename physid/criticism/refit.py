@@ -1,0 +1,330 @@
+"""Candidates refitted with the model's own parameters, on the data used for choosing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from physid.errors import ModelError, NumericsError
+from physid.identification.force_balance import balance, observable, widths
+from physid.identification.output_error import minimise
+from physid.identification.problem import Estimate, Problem
+from physid.identification.screening import screen
+from physid.identification.staged import LONG, SHORT, states_only
+from physid.identification.windows import Span
+from physid.plant.effect import Placed, Scales
+from physid.plant.model import Model
+from physid.plant.parameter import Parameter
+from physid.plant.structure import Place
+
+HORIZONS = {"short": SHORT, "long": LONG, "block": float("inf")}
+"""Window lengths in typical periods at which candidates are fitted and judged."""
+
+
+def choosing_spans(samples: int) -> list[Span]:
+    """Return the stretches used for choosing: the first and the fourth to fifth sixth-pairs of a record."""
+    sixth = samples // 6
+    return [(0, 2 * sixth), (3 * sixth, 5 * sixth)]
+
+
+def judging_spans(samples: int) -> list[Span]:
+    """Return the stretches kept for judging: a sixth after each stretch used for choosing."""
+    sixth = samples // 6
+    return [(2 * sixth, 3 * sixth), (5 * sixth, 6 * sixth)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Base:
+    """The base model on the choosing data: problem and fit at each horizon."""
+
+    problems: dict[str, Problem]
+    fits: dict[str, Estimate]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Refit:
+    """A candidate fitted on the choosing data.
+
+    ``added`` are the effects it adds to the base model (their starting values); ``fits`` its estimate
+    per horizon; ``extra`` the number of coefficients more than the base has.
+    """
+
+    added: tuple[Placed, ...]
+    problem: Problem
+    fits: dict[str, Estimate]
+    extra: int
+    rank: int
+
+    @property
+    def fitted(self) -> tuple[Placed, ...]:
+        """The added effects at the values fitted on long windows."""
+        return self.fitted_at("long")
+
+    def fitted_at(self, horizon: str) -> tuple[Placed, ...]:
+        """Return the added effects at the values fitted at a horizon."""
+        model = self.problem.at(self.fits[horizon].theta)
+        return tuple(next(p for p in model.effects if p.same_site(a)) for a in self.added)
+
+    def plausible(self, scales: Mapping[Place, Scales]) -> bool:
+        """Say whether every added effect still is itself at the values of every long horizon."""
+        return all(
+            p.effect.plausible(p.values, scales[p.place])
+            for horizon in self.fits
+            if horizon != "short"
+            for p in self.fitted_at(horizon)
+            if p.place in scales
+        )
+
+    def sites(self) -> tuple[tuple[str, str], ...]:
+        """The added effects as (effect, location) pairs."""
+        structure = self.problem.model.structure
+        return tuple((p.effect.name, structure.label(p.place)) for p in self.added)
+
+    def ratio(self, base: Base, horizon: str) -> float:
+        """Return squares after over squares before at a horizon."""
+        return self.fits[horizon].squares / max(base.fits[horizon].squares, 1e-300)
+
+
+def with_candidate(
+    problem: Problem, added: Sequence[Placed], scales: Scales | None = None
+) -> Problem:
+    """Return the problem with effects added and their coefficients freed, within the place's limits."""
+    limits = {c: b for p in added for c, b in p.effect.limits(scales).items()} if scales else {}
+    model = problem.model
+    before = set(model.effect_parameters())
+    for placed in added:
+        model = model.with_effect(placed)
+    fresh = [name for name in model.effect_parameters() if name not in before]
+    kept = [
+        p
+        for p in problem.parameters
+        if "@" not in p.name or p.name in set(model.effect_parameters())
+    ]
+    extra = [_sized(model, name, limits.get(name.rsplit(".", 1)[1])) for name in fresh]
+    return replace(problem, model=model, parameters=(*kept, *extra))
+
+
+def _sized(model: Model, name: str, limit: tuple[float, float] | None) -> Parameter:
+    parameter = model.parameter(name)
+    lower, upper = limit or (parameter.lower, parameter.upper)
+    value = min(max(parameter.value, lower), upper)
+    return replace(parameter, value=value, lower=lower, upper=upper, scale=abs(value) or 1e-6)
+
+
+def start_of(base: Problem, theta: np.ndarray, candidate: Problem) -> np.ndarray:
+    """Return a starting vector for a candidate: the base's values, and the effects' own."""
+    known = {p.name: v for p, v in zip(base.parameters, theta, strict=True)}
+    return np.array([known.get(p.name, p.value) for p in candidate.parameters])
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Where a refit starts: the effect at its place, and the other parameters (p,)."""
+
+    placed: Placed
+    theta: np.ndarray
+
+
+def refit(
+    base: Base,
+    inner: Problem,
+    starts: Sequence[Start],
+    scales: Scales,
+    *,
+    rank: int,
+    already: tuple[Placed, ...] = (),
+) -> Refit | None:
+    """Fit a candidate from several starts, on short windows and then on long ones.
+
+    Parameters
+    ----------
+    base : Base
+    inner : Problem
+        The base problem, with the effects of ``already`` in it.
+    starts : sequence of Start
+        The effect at several starting values.
+    scales : Scales
+        How large things are at its place.
+
+    Returns
+    -------
+    Refit or None
+        The best; None if none can be simulated or none is plausible.
+    """
+    promising = _promising(base, inner, [*starts, *_by_balance(inner, starts)], scales)
+    best = _best_of(base, inner, promising, scales, rank, already)
+    if best is None or not any(c.shape or c.fixed for c in starts[0].placed.effect.coefficients):
+        return best
+    again = _best_of(
+        base, inner, _seen_from(base, inner, best, [*starts, *promising]), scales, rank, already
+    )
+    return min((f for f in (best, again) if f is not None), key=lambda f: sum(_logs(f, base)))
+
+
+def without_partner(base: Base, pair: Refit, scales: Mapping[Place, Scales]) -> list[Refit]:
+    """Fit each effect of a pair by itself, from where the pair ended.
+
+    A second effect may only have led the first to its right values.
+    """
+    found = []
+    inner = base.problems["long"]
+    for placed in pair.fitted:
+        theta = start_of(pair.problem, pair.fits["long"].theta, inner)
+        start = Start(placed, theta)
+        alone = _best_of(base, inner, [start], scales[placed.place], pair.rank, ())
+        if alone is not None:
+            found.append(with_block(base, alone))
+    return found
+
+
+def _seen_from(base: Base, inner: Problem, best: Refit, known: Sequence[Start]) -> list[Start]:
+    """Return starts in shapes that show only once the model's own parameters have made room.
+
+    The shapes are screened where the base model was distorted by what it lacks; from the best
+    candidate's parameters they are seen more clearly.
+    """
+    own = best.added[-1]
+    problem = inner.with_windows(base.problems["long"].windows)
+    theta = start_of(best.problem, best.fits["long"].theta, inner)
+    ground = replace(states_only(replace(problem, model=problem.at(theta))), theta=theta)
+    tried = [*(s.placed for s in known), best.fitted[-1]]
+    return [
+        Start(s.start, s.theta)
+        for s in screen(problem, ground, [(own.effect, own.place)])
+        if not any(alike(s.start, placed) for placed in tried)
+    ]
+
+
+def alike(one: Placed, other: Placed) -> bool:
+    """Say whether values of an effect differ by less than a fifth, and what is not fitted not at all."""
+    return all(
+        abs(one.values[c.name] - other.values[c.name])
+        <= (0.0 if c.fixed else 0.2 * max(abs(one.values[c.name]), abs(other.values[c.name])))
+        for c in one.effect.coefficients
+    )
+
+
+def _best_of(
+    base: Base,
+    inner: Problem,
+    starts: Sequence[Start],
+    scales: Scales,
+    rank: int,
+    already: tuple[Placed, ...],
+) -> Refit | None:
+    """Fit a candidate from every start; return the best that still is the effect it is called."""
+    best: Refit | None = None
+    for start in starts:
+        trial = with_candidate(inner, (start.placed,), scales)
+        fits = _fit_horizons(base, trial, start_of(inner, start.theta, trial))
+        if fits is None:
+            continue
+        added = (*already, start.placed)
+        extra = sum(len(p.effect.coefficients) for p in added)
+        found = Refit(added=added, problem=trial, fits=fits, extra=extra, rank=rank)
+        if not start.placed.effect.plausible(found.fitted[-1].values, scales):
+            continue
+        if best is None or sum(_logs(found, base)) < sum(_logs(best, base)):
+            best = found
+    return best
+
+
+def _promising(base: Base, inner: Problem, starts: Sequence[Start], scales: Scales) -> list[Start]:
+    """Keep the start that is best on long windows; for a shaped effect two, and two on short ones.
+
+    Long windows tell amplitudes apart; under a motion that soon runs away from the measured one,
+    only short ones tell shapes.
+    """
+    if len(starts) < 2:
+        return list(starts)
+    shaped = any(c.shape or c.fixed for c in starts[0].placed.effect.coefficients)
+    chosen: list[int] = []
+    for horizon in ("long", "short") if shaped else ("long",):
+        costs = [_first_cost(base, inner, start, scales, horizon) for start in starts]
+        order = [int(k) for k in np.argsort(costs) if np.isfinite(costs[k])]
+        chosen += order[: 2 if shaped else 1]
+    return [starts[k] for k in dict.fromkeys(chosen)]
+
+
+def _first_cost(base: Base, inner: Problem, start: Start, scales: Scales, horizon: str) -> float:
+    """Return the misfit on a horizon's windows after a step from a start, or three on short ones."""
+    trial = with_candidate(inner, (start.placed,), scales).with_windows(
+        base.problems[horizon].windows
+    )
+    theta = start_of(inner, start.theta, trial)
+    try:
+        steps = 3 if horizon == "short" else 1
+        return minimise(trial, theta, base.fits[horizon].states, iterations=steps).chi2
+    except (NumericsError, ModelError):
+        return float("inf")
+
+
+def _by_balance(inner: Problem, starts: Sequence[Start]) -> list[Start]:
+    """Start once more from the force balance, where every joint is seen and the law is linear."""
+    experiments = list({id(w.experiment): w.experiment for w in inner.windows}.values())
+    placed = starts[0].placed
+    linear = not any(c.shape or c.fixed for c in placed.effect.coefficients)
+    if not linear or placed.place.kind == "actuator":
+        return []
+    if not all(observable(inner.model, e) for e in experiments):
+        return []
+    trial = with_candidate(inner, (placed,))
+    width = float(widths(experiments)[1])
+    try:
+        simulator = inner.windows[0].simulator
+        theta = balance(
+            trial.model, trial.parameters, experiments, width, simulator=simulator
+        ).theta
+    except (np.linalg.LinAlgError, ValueError, ModelError):
+        return []
+    own = {p.name: v for p, v in zip(trial.parameters, theta, strict=True)}
+    values = {
+        c.name: own[trial.model.coefficient_name(placed, c)] for c in placed.effect.coefficients
+    }
+    return [
+        Start(
+            placed.with_values(values),
+            np.array([own.get(p.name, p.value) for p in inner.parameters]),
+        )
+    ]
+
+
+def _logs(fit: Refit, base: Base) -> list[float]:
+    return [float(np.log(fit.ratio(base, h))) for h in ("short", "long")]
+
+
+def _fit_horizons(base: Base, trial: Problem, start: np.ndarray) -> dict[str, Estimate] | None:
+    brief = trial.with_windows(base.problems["short"].windows)
+    long = trial.with_windows(base.problems["long"].windows)
+    try:
+        short_fit = minimise(brief, start, base.fits["short"].states, iterations=8, tolerance=2e-3)
+        long_fit = minimise(
+            long, short_fit.theta, base.fits["long"].states, iterations=8, tolerance=2e-3
+        )
+        if long_fit.chi2 > 0.9 * base.fits["long"].chi2:
+            other = minimise(long, start, base.fits["long"].states, iterations=8, tolerance=2e-3)
+            long_fit = min(long_fit, other, key=lambda e: e.chi2)
+    except (NumericsError, ModelError):
+        return None
+    return {"short": short_fit, "long": long_fit}
+
+
+def with_block(base: Base, fit: Refit) -> Refit:
+    """Fit a candidate on whole stretches too, where the base model can be simulated over them."""
+    if "block" not in base.fits:
+        return fit
+    problem = fit.problem.with_windows(base.problems["block"].windows)
+    tried = []
+    for horizon in ("long", "short"):
+        try:
+            tried.append(minimise(problem, fit.fits[horizon].theta, iterations=10, tolerance=2e-3))
+        except (NumericsError, ModelError):
+            continue
+        if tried[-1].chi2 < 0.5 * base.fits["block"].chi2:
+            break
+    if not tried:
+        no_better = replace(base.fits["block"], theta=fit.fits["long"].theta)
+        return replace(fit, fits={**fit.fits, "block": no_better})
+    return replace(fit, fits={**fit.fits, "block": min(tried, key=lambda e: e.chi2)})

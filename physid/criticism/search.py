@@ -1,0 +1,349 @@
+"""The search for what is missing: screening, refits of the promising, siblings and pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from itertools import zip_longest
+
+import numpy as np
+
+from physid.criticism.evidence import colour, nrmse
+from physid.criticism.refit import (
+    HORIZONS,
+    Base,
+    Refit,
+    Start,
+    alike,
+    choosing_spans,
+    refit,
+    start_of,
+    with_block,
+    without_partner,
+)
+from physid.effects.catalogue import CATALOGUE
+from physid.errors import NumericsError
+from physid.identification.problem import Estimate, Problem
+from physid.identification.screening import Scored, possible_candidates, screen, shortlist
+from physid.identification.staged import ENOUGH, Spans, fit_windows, states_only, thinned, windowed
+from physid.identification.study import Study
+from physid.plant.effect import Effect, Placed, Scales
+from physid.plant.structure import Place
+
+REFITS = 4
+"""Candidates refitted from each of the two screenings."""
+TRIALS = 3
+"""Shapes of each that are started from."""
+MOST_STARTS = 6
+"""Starts of one candidate, over all screenings."""
+PARTNERS = 3
+"""Best single effects that get a partner, and partners tried from each screening."""
+RUNAWAY = 8.0
+"""Times its own value beyond which a parameter was driven there by what the model lacks."""
+SHOWN = 6
+"""Candidates fitted on whole stretches and reported."""
+FEW = 3
+"""... where not even the best of them gains anything on windows."""
+LEAST_GAIN = 12.0
+"""Smallest fall of the information criterion that is not chance."""
+NOISE_LIKE = 1.25
+"""A residual within this factor of the noise's variance is explained."""
+WELL_NAMED = 0.95
+"""... beyond which no pair is looked for."""
+
+
+def search(
+    study: Study,
+    base: Base,
+    candidates: Sequence[tuple[Effect, Place]],
+    report: Callable[[str, float], None],
+) -> list[Refit]:
+    """Screen all candidates, refit the promising ones, and pair those that need a partner.
+
+    Parameters
+    ----------
+    study : Study
+    base : Base
+        The base model on the choosing data.
+    candidates : sequence of (Effect, Place)
+    report : callable
+        Told a stage and the share of the search that is done.
+
+    Returns
+    -------
+    list of Refit
+        Best first.
+    """
+    report(f"screening {len(candidates)} candidates", 0.0)
+    long = base.problems["long"]
+    grounds = [(base.problems[h], base.fits[h]) for h in base.fits]
+    if base.fits["long"].squares > NOISE_LIKE * long.measurements():
+        grounds.insert(0, (long, _undistorted(study, long)))
+    groups = _screened(grounds, candidates, REFITS, TRIALS)
+    fits = []
+    for k, group in enumerate(groups):
+        report(f"refitting {group[0].effect.name}", 0.15 + 0.5 * k / len(groups))
+        found = refit(base, long, _starts(group), group[0].scales, rank=k)
+        if found is not None:
+            fits.append(found)
+    scales = {g[0].place: g[0].scales for g in groups}
+    fits = _best_with_blocks(base, _with_siblings(base, fits, scales), scales)
+    partnered = _wanting_partners(base, fits)
+    if not partnered:
+        return fits
+    report("trying pairs", 0.7)
+    fits = _best_with_blocks(base, [*fits, *_pairs(base, fits, partnered, candidates)], scales)
+    if not fits or len(fits[0].added) < 2:
+        return fits
+    alone = without_partner(base, fits[0], scales)
+    return _best_with_blocks(base, _better_of([*fits, *alone], base), scales)
+
+
+def _starts(group: Sequence[Scored]) -> list[Start]:
+    return [Start(s.start, s.theta) for s in group]
+
+
+def windows_of(study: Study, horizon: str, spans: Spans) -> Problem:
+    """Return the study's problem on some stretches, in windows of a horizon's length."""
+    problem = windowed(study.problem, HORIZONS[horizon], spans)
+    return thinned(problem, ENOUGH) if np.isfinite(HORIZONS[horizon]) else problem
+
+
+def base_of(study: Study) -> Base:
+    """Fit the base model on the choosing data at every horizon it can be simulated over."""
+    problems = {h: windows_of(study, h, choosing_spans) for h in HORIZONS}
+    long = fit_windows(problems["long"], study.theta)
+    fits = {"short": fit_windows(problems["short"], long.theta), "long": long}
+    again = fit_windows(problems["long"], fits["short"].theta)
+    if again.chi2 < long.chi2:
+        fits["long"] = again
+    try:
+        block = fit_windows(problems["block"], fits["long"].theta)
+        if float(np.max(nrmse(problems["block"], block))) < 1.0:
+            fits["block"] = block
+    except NumericsError:
+        pass
+    return Base(problems=problems, fits=fits)
+
+
+def _undistorted(study: Study, problem: Problem) -> Estimate:
+    """Return the study's start as a ground for screening.
+
+    Under a large missing effect the best fit is a distorted one, at which nothing looks like itself;
+    the start, from the force balance or short windows, is nearer the truth.  Where even that has run
+    away along a valley, the model's own values are.
+    """
+    nominal = problem.start()
+    size = np.array([max(abs(p.value), p.scale) for p in problem.parameters])
+    theta = nominal if np.any(np.abs(study.theta) > RUNAWAY * size) else study.theta
+    found = states_only(replace(problem, model=problem.at(theta)))
+    return replace(found, theta=theta)
+
+
+def _screened(
+    grounds: Sequence[tuple[Problem, Estimate]],
+    candidates: Sequence[tuple[Effect, Place]],
+    most: int,
+    per_effect: int,
+) -> list[list[Scored]]:
+    """Screen on several grounds and join the shortlists, alternating.
+
+    What one ground proposes starts in the shapes that all of them see.  A ground near which the
+    simulation diverges is none.
+    """
+    screens = []
+    for problem, fit in grounds:
+        with suppress(NumericsError):
+            screens.append(screen(problem, fit, candidates, per_effect))
+    chosen = dict.fromkeys(
+        site for row in zip_longest(*(shortlist(s, most) for s in screens)) for site in row if site
+    )
+    groups = []
+    for site in chosen:
+        known: list[Scored] = []
+        for scored in screens:
+            own = [s for s in scored if (s.effect.name, s.place) == site]
+            known += [s for s in own if not any(alike(s.start, k.start) for k in known)]
+        groups.append(known[:MOST_STARTS])
+    return groups
+
+
+def _with_siblings(base: Base, fits: list[Refit], scales: dict[Place, Scales]) -> list[Refit]:
+    """Start effects that contain the best one from its fit as well: they can only be as good or better."""
+    if not fits:
+        return fits
+    best = min(fits, key=lambda f: score(base, f, ("short", "long")))
+    inner = best.fitted[0]
+    out = list(fits)
+    for effect in CATALOGUE:
+        values = effect.contains(inner) if inner.place.kind in effect.kinds else None
+        if values is None:
+            continue
+        placed = Placed(effect, inner.place, values)
+        start = Start(
+            placed, start_of(best.problem, best.fits["long"].theta, base.problems["long"])
+        )
+        found = refit(base, base.problems["long"], [start], scales[inner.place], rank=best.rank)
+        if found is not None:
+            out.append(found)
+    return _better_of(out, base)
+
+
+def _better_of(fits: Sequence[Refit], base: Base) -> list[Refit]:
+    """Keep the better of two fits of the same effects."""
+    best: dict[frozenset[tuple[str, str]], Refit] = {}
+    for fit in fits:
+        sites = frozenset(fit.sites())
+        if sites not in best or score(base, fit, ("short", "long")) < score(
+            base, best[sites], ("short", "long")
+        ):
+            best[sites] = fit
+    return list(best.values())
+
+
+def _best_with_blocks(
+    base: Base, fits: Sequence[Refit], scales: dict[Place, Scales]
+) -> list[Refit]:
+    """Keep the best candidates on windows, fit those on whole stretches, and sort them all."""
+    horizons = ("short", "long")
+    ordered = sorted(fits, key=lambda f: score(base, f, horizons))
+    clear = bool(ordered) and score(base, ordered[0], horizons) < -LEAST_GAIN
+    promising = ordered[: SHOWN if clear else FEW]
+    done = [f if "block" in f.fits else with_block(base, f) for f in promising]
+    kept = [f for f in done if f.plausible(scales)]
+    return sorted(kept, key=lambda f: score(base, f, tuple(base.fits)))
+
+
+def score(base: Base, fit: Refit, horizons: Sequence[str]) -> float:
+    """Return the mean over horizons of n_eff log(squares after / before), plus extra log n_eff.
+
+    It is Bayes' information criterion (Schwarz, Ann. Stat. 6, 1978) with n over the residual's
+    correlation time for the number of samples.
+    """
+    total = 0.0
+    sizes: list[float] = []
+    for horizon in horizons:
+        size = effective_samples(base, fit, horizon)
+        sizes.append(size)
+        total += size * np.log(max(fit.ratio(base, horizon), 1e-12))
+    return float(total / len(horizons) + fit.extra * np.log(max(float(np.mean(sizes)), 2.0)))
+
+
+def effective_samples(base: Base, fit: Refit, horizon: str) -> float:
+    """Return the number of independent samples in a candidate's residual at a horizon."""
+    problem = base.problems[horizon]
+    return problem.measurements() / colour(problem, fit.fits[horizon])
+
+
+def _noise_like(base: Base, fit: Refit) -> bool:
+    """Say whether a candidate leaves no more than noise at every horizon."""
+    return all(
+        fit.fits[h].squares <= NOISE_LIKE * base.problems[h].measurements() for h in fit.fits
+    )
+
+
+def explained(base: Base, fit: Refit) -> float:
+    """Return the share of the base's excess squares that a candidate removes, at its best long horizon."""
+    return max(_removed(base, fit, h) for h in fit.fits if h != "short")
+
+
+def _removed(base: Base, fit: Refit, horizon: str) -> float:
+    before, after = base.fits[horizon].squares, fit.fits[horizon].squares
+    floor = min(float(base.problems[horizon].measurements()), after)
+    return float((before - after) / max(before - floor, 1e-300)) if after < before else 0.0
+
+
+def _different(fits: Sequence[Refit]) -> list[Refit]:
+    """Leave out singles that contain, or are contained in, a better one at the same place."""
+    kept: list[Refit] = []
+    for fit in fits:
+        own = fit.added[0]
+        if not any(
+            o.added[0].place == own.place
+            and (
+                o.added[0].effect.name in own.effect.supersedes
+                or own.effect.name in o.added[0].effect.supersedes
+            )
+            for o in kept
+        ):
+            kept.append(fit)
+    return kept
+
+
+def _wanting_partners(base: Base, fits: Sequence[Refit]) -> list[Refit]:
+    """Return the singles beside which a second effect is looked for; none where one explains all.
+
+    An effect that contains a simpler one at its place may win only because its extra coefficients
+    imitate a second effect, so the simpler one gets its chance with a partner.
+    """
+    if not fits:
+        return []
+    best = fits[0]
+    simpler = [
+        f
+        for f in fits[1:]
+        if f.added[0].place == best.added[0].place
+        and f.added[0].effect.name in best.added[0].effect.supersedes
+    ]
+    if explained(base, best) >= WELL_NAMED or _noise_like(base, best):
+        return [] if _noise_like(base, best) else simpler[:1]
+    return _different(fits)[:PARTNERS]
+
+
+def _pairs(
+    base: Base,
+    fits: Sequence[Refit],
+    singles: Sequence[Refit],
+    candidates: Sequence[tuple[Effect, Place]],
+) -> list[Refit]:
+    """Try a second effect beside some singles; keep a pair that halves what remains."""
+    found: list[Refit] = []
+    wanted = list(candidates)
+    most = PARTNERS - 1 if len(singles) > 1 else REFITS
+    for single in singles:
+        problems = {h: single.problem.with_windows(base.problems[h].windows) for h in single.fits}
+        rest = [
+            (effect, place)
+            for effect, place in possible_candidates(problems["long"])
+            if (effect, place) in wanted
+            and not any(
+                a.effect.name in effect.supersedes and a.place == place for a in single.added
+            )
+        ]
+        grounds = [(problems[h], single.fits[h]) for h in single.fits]
+        for group in _screened(grounds, rest, most, 1):
+            pair = refit(
+                base,
+                problems["long"],
+                _starts(group),
+                group[0].scales,
+                rank=single.rank,
+                already=single.added,
+            )
+            if pair is None:
+                continue
+            pair = with_block(base, pair)
+            if any(frozenset(f.sites()) == frozenset(pair.sites()) for f in found):
+                continue
+            if any(_halves(base, single, pair, h) for h in base.fits):
+                found.append(_ordered(base, pair, fits))
+    return found
+
+
+def _halves(base: Base, single: Refit, pair: Refit, horizon: str) -> bool:
+    floor = min(float(base.problems[horizon].measurements()), pair.fits[horizon].squares)
+    return pair.fits[horizon].squares - floor < 0.5 * (single.fits[horizon].squares - floor)
+
+
+def _ordered(base: Base, pair: Refit, singles: Sequence[Refit]) -> Refit:
+    """Put the effect first that does more for whole stretches by itself."""
+    horizon = "block" if "block" in base.fits else "long"
+    alone = {
+        f.sites()[0]: f.fits[horizon].squares
+        for f in singles
+        if len(f.added) == 1 and horizon in f.fits
+    }
+    worst = base.fits[horizon].squares
+    order = sorted(range(len(pair.added)), key=lambda k: alone.get(pair.sites()[k], worst))
+    return replace(pair, added=tuple(pair.added[k] for k in order))

@@ -1,0 +1,177 @@
+"""Plants of one model at many parameter values, without compiling each.
+
+The parts of a constant-mass rig (:class:`~physid.plant.parts.Parts`) are affine in most parameters:
+stiffnesses, dampings, frictions, masses, armatures, and the coefficients of most effects.  Whether
+they are is found out, not assumed: the model is compiled at one point and at one step of each
+parameter; a further point must agree to rounding, or every plant is compiled as before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+
+from physid.errors import ModelError
+from physid.plant.assembly import assemble
+from physid.plant.model import Model, Plant
+from physid.plant.parameter import Parameter
+from physid.plant.parts import Parts, read_parts
+
+STEP = 0.125
+"""Relative step of the probing; exact in binary, and as large as keeps the bounds."""
+EXACTLY = 1e-11
+"""Largest difference between the affine parts and those of the compiled model, relative."""
+ENGINE_ONLY = ("law_constants",)
+"""Parts that only the engine uses, as it uses columns 1 and 2 of ``friction`` alone."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Family:
+    """Plants of a model as some parameters vary: parts = base + slopes (theta - at).
+
+    Parameters
+    ----------
+    model : Model
+        With the values of everything that does not vary.
+    names : tuple of str
+        The parameters that vary.
+    reference : Plant
+        Compiled at ``at``.
+    parts : Parts
+        Of the reference.
+    at : ndarray (p,)
+    base : ndarray (z,), slopes : ndarray (z, p)
+        The varying numbers of the parts, then the delays of the inputs.
+    """
+
+    model: Model
+    names: tuple[str, ...]
+    reference: Plant
+    parts: Parts
+    at: np.ndarray
+    base: np.ndarray
+    slopes: np.ndarray
+
+    def plant(self, theta: np.ndarray) -> Plant:
+        """Return the plant at parameter values theta (p,)."""
+        numbers = self.base + self.slopes @ (theta - self.at)
+        parts = _with_numbers(self.parts, numbers)
+        values = dict(zip(self.names, map(float, theta), strict=True))
+        conditioners = self.reference.conditioners
+        if any("@" in name for name in values) and conditioners:
+            effects = self.model.with_values(values).effects
+            conditioners = tuple(
+                (k, next(e for e in effects if e.same_site(p))) for k, p in conditioners
+            )
+        return replace(
+            self.reference,
+            delays=np.maximum(numbers[len(numbers) - len(self.reference.delays) :], 0.0),
+            conditioners=conditioners,
+            network=assemble(parts),
+            time_constants=parts.actuators[:, 13],
+            source=(self.model, values),
+        )
+
+
+def family_of(
+    model: Model, parameters: Sequence[Parameter], theta: np.ndarray, step: float
+) -> Family | None:
+    """Probe how a model's parts depend on parameters; None where not affinely.
+
+    Parameters
+    ----------
+    model : Model
+    parameters : sequence of Parameter
+        Those that vary.
+    theta : ndarray (p,)
+        Where to probe.
+    step : float
+        Integration step [s].
+    """
+    at = np.array([t or p.scale for t, p in zip(theta, parameters, strict=True)])
+    moves = np.array([_move(p, t) for p, t in zip(parameters, at, strict=True)])
+    names = tuple(p.name for p in parameters)
+    probe = _Probe(model, names, step)
+    first = probe.read(at)
+    if first is None:
+        return None
+    reference, parts, base = first
+    columns = []
+    for k, move in enumerate(moves):
+        found = probe.read(at + move * np.eye(len(at))[k])
+        if found is None or not _same_shape(found[1], parts):
+            return None
+        columns.append((found[2] - base) / move)
+    slopes = np.column_stack(columns) if columns else np.zeros((len(base), 0))
+    shares = 0.3 + 0.7 * np.arange(1, len(at) + 1) / (len(at) + 1)
+    family = Family(
+        model=model, names=names, reference=reference, parts=parts, at=at, base=base, slopes=slopes
+    )
+    check = probe.read(at + shares * moves)
+    if check is None or not _same_shape(check[1], parts):
+        return None
+    size = np.abs(base) + np.abs(slopes) @ np.abs(moves)
+    told = base + slopes @ (shares * moves)
+    return family if np.all(np.abs(told - check[2]) <= EXACTLY * size + 1e-300) else None
+
+
+def _move(parameter: Parameter, value: float) -> float:
+    move = STEP * abs(value)
+    return -move if value + move > parameter.upper else move
+
+
+class _Probe:
+    """Compiles a model at parameter values and reads its parts."""
+
+    def __init__(self, model: Model, names: tuple[str, ...], step: float) -> None:
+        self.model, self.names, self.step = model, names, step
+        self.data: mujoco.MjData | None = None
+
+    def read(self, theta: np.ndarray) -> tuple[Plant, Parts, np.ndarray] | None:
+        values = dict(zip(self.names, map(float, theta), strict=True))
+        try:
+            plant = self.model.with_values(values).compile(self.step)
+        except ModelError:
+            return None
+        if self.data is None:
+            self.data = mujoco.MjData(plant.model)
+        parts = read_parts(plant, self.data)
+        return None if parts is None else (plant, parts, _numbers(parts, plant.delays))
+
+
+def _numbers(parts: Parts, delays: np.ndarray) -> np.ndarray:
+    parts = parts._replace(friction=parts.friction * [1.0, 0.0, 0.0])
+    flat = np.concatenate([*(getattr(parts, name).ravel() for name in _varying(parts)), delays])
+    return np.where(np.isfinite(flat), flat, 0.0)
+
+
+def _varying(parts: Parts) -> list[str]:
+    """Return the names of the parts that hold numbers, not places."""
+    return [
+        name
+        for name, array in zip(parts._fields, parts, strict=True)
+        if array.dtype == np.float64 and name not in ENGINE_ONLY
+    ]
+
+
+def _with_numbers(parts: Parts, numbers: np.ndarray) -> Parts:
+    found, first = {}, 0
+    for name in _varying(parts):
+        array = getattr(parts, name)
+        new = numbers[first : first + array.size].reshape(array.shape)
+        finite = np.isfinite(array)
+        found[name] = new if finite.all() else np.where(finite, new, array)
+        first += array.size
+    return parts._replace(**found)
+
+
+def _same_shape(one: Parts, other: Parts) -> bool:
+    return all(
+        a.shape == b.shape
+        and (np.array_equal(a, b) if a.dtype != np.float64 else True)
+        and np.array_equal(np.isfinite(a), np.isfinite(b))
+        for a, b in zip(one, other, strict=True)
+    )

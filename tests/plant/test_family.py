@@ -1,0 +1,65 @@
+"""Families of plants: the same networks as compiling each, for every effect, or none at all."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from physid.effects.catalogue import CATALOGUE, add_effects
+from physid.plant.assembly import network_of
+from physid.plant.family import family_of
+
+from .rigs import FRICTION, PENDULUM, load_text
+from .test_network import EFFECTS
+
+NAMES = ("one.damping", "two.damping", "shaft.stiffness", "shaft.damping", "one.armature")
+
+
+def parameters_of(model, names):
+    """Return parameters with no zero value, and their values (p,)."""
+    found = [model.parameter(name) for name in names]
+    return found, np.array([p.value or p.scale for p in found])
+
+
+def largest_difference(ours, theirs):
+    """Return the largest difference between two networks, each array relative to its largest."""
+    worst = 0.0
+    for name, a, b in zip(ours._fields, ours, theirs, strict=True):
+        assert a.shape == b.shape, name
+        if name == "law_constants":
+            continue  # of the engine's own smoothing
+        if name == "friction":
+            a, b = a[:, :1], b[:, :1]
+        finite = np.isfinite(b)
+        size = np.abs(b[finite]).max(initial=0.0) or 1.0
+        worst = max(worst, float(np.abs(a[finite] - b[finite]).max(initial=0.0)) / size)
+    return worst
+
+
+@pytest.mark.parametrize("effect", [e.name for e in CATALOGUE])
+def test_a_family_gives_the_plants_that_compiling_gives(effect):
+    model, _ = add_effects(load_text(FRICTION), [f"{effect}@{EFFECTS[effect]}"])
+    known = [p.name for p in model.every_parameter()]
+    names = [n for n in NAMES if n in known] + model.effect_parameters()
+    parameters, at = parameters_of(model, names)
+    family = family_of(model, parameters, at, 1e-3)
+    assert family is not None
+    theta = at * np.linspace(0.6, 1.4, len(at))
+    ours = family.plant(theta)
+    theirs = model.with_values(dict(zip(names, map(float, theta), strict=True))).compile(1e-3)
+    network = network_of(theirs, mujoco.MjData(theirs.model))
+    assert largest_difference(ours.network, network) < 1e-12
+    assert ours.delays == pytest.approx(theirs.delays, abs=1e-15)
+    assert ours.time_constants == pytest.approx(theirs.time_constants)
+    assert [(k, p.values) for k, p in ours.conditioners] == [
+        (k, p.values) for k, p in theirs.conditioners
+    ]
+    again = ours.compiled().model
+    assert np.array_equal(again.dof_damping, theirs.model.dof_damping)
+
+
+def test_what_is_not_affine_is_no_family():
+    model = load_text(PENDULUM)
+    names = [p.name for p in model.every_parameter() if p.name.endswith((".mass", ".com.z"))]
+    parameters, at = parameters_of(model, names)
+    assert len(names) == 2  # their product is the pendulum's weight
+    assert family_of(model, parameters, at, 1e-3) is None
