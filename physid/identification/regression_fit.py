@@ -23,7 +23,7 @@ from physid.identification.noise import correlation_time, noise_level
 from physid.identification.reduction import Reduced, reduce
 from physid.identification.regression import Regression, check_linear, regress
 from physid.identification.segmentation import standard_errors
-from physid.identification.study import Options, as_model, at_values, experiments_of
+from physid.identification.study import Options, as_model, experiments_of
 from physid.identification.varying import Interval, conic, free, scheduled, smooth_weight
 from physid.plant.model import Model
 from physid.plant.parameter import Parameter
@@ -87,7 +87,8 @@ class RegressionFit:
     @property
     def fitted(self) -> Model:
         """The model at the estimates; a varying parameter stands at its mean."""
-        return at_values(self.model, self.parameters, self.solution.theta)
+        theta = zip(self.parameters, self.solution.theta, strict=True)
+        return self.model.with_values({p.name: float(v) for p, v in theta})
 
 
 def parse_varying(text: str) -> Varying:
