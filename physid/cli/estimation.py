@@ -12,14 +12,50 @@ from physid.cli.delivery import deliver, working
 from physid.cli.ending import OK, REFUTED
 from physid.cli.options import Output, Study, grouped
 from physid.cli.parsing import parse_within
+from physid.errors import InputError
+
+METHODS = ("simulation", "lmi")
 
 
 @grouped
-def fit(study: Study, output: Output) -> int:
+def fit(
+    study: Study,
+    output: Output,
+    method: Annotated[
+        str,
+        typer.Option(
+            "--method",
+            metavar="simulation|lmi",
+            help="By simulation, or by the equations of motion at the samples (linear matrix inequalities).",
+        ),
+    ] = "simulation",
+    varying: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--varying",
+            metavar="NAME[:free|step|smooth|variation|levels=VARIABLE|line=VARIABLE]",
+            help="With --method lmi: a parameter that varies, and how. VARIABLE is a column or the "
+            "difference of two (a-b). Repeatable.",
+        ),
+    ] = None,
+) -> int:
     """Fit the parameters of the model's structure as it stands."""
     options = study.keywords(default_fit="auto")
+    if method not in METHODS:
+        raise InputError(f"--method '{method}' is not a method. Available: {', '.join(METHODS)}.")
+    if varying and method != "lmi":
+        raise InputError(
+            "--varying needs --method lmi: a simulated fit keeps its parameters constant."
+        )
     with working(output) as run:
-        result = physid.fit(study.model, study.records, **options, **run)
+        if method == "lmi":
+            from physid.criticism.equations import fit_equations
+
+            result = fit_equations(
+                study.model, study.records, varying=varying or (), **options, **run
+            )
+        else:
+            result = physid.fit(study.model, study.records, **options, **run)
     deliver(result, output)
     return OK
 

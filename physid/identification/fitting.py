@@ -161,7 +161,7 @@ def closing_balance(fitted: Fitted) -> Balance | None:
             problem.model,
             problem.parameters,
             experiments,
-            _quiet_width(experiments, problem.sigma),
+            quiet_width(experiments, problem.sigma),
             simulator=problem.windows[0].simulator,
             points=CLOSING_POINTS,
             theta=fitted.estimate.theta,
@@ -170,7 +170,7 @@ def closing_balance(fitted: Fitted) -> Balance | None:
         return None
 
 
-def _quiet_width(experiments: Sequence[Experiment], sigma: np.ndarray) -> float:
+def quiet_width(experiments: Sequence[Experiment], sigma: np.ndarray) -> float:
     """Return the narrowest smoothing width [s] that keeps noise below a tenth of the accelerations."""
     tried = widths(experiments)
     for width in tried:

@@ -26,6 +26,7 @@ from physid.report.reading import (
 from physid.report.runs import labels as model_labels
 from physid.report.runs import record_blocks
 from physid.report.singles import families, simulated_columns
+from physid.report.trajectories import trajectories
 from physid.report.words import capital, effects_phrase
 
 
@@ -43,6 +44,7 @@ def sections(result: Result, curves: Curves) -> list[Section]:
         _where(result, curves),
         _candidates(result),
         _parameters(result, curves),
+        trajectories(result, curves),
         _residuals(result, curves),
         section(
             "records",
