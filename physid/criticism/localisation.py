@@ -179,9 +179,11 @@ def _pulse_motion(
     """Return time (w, pulses) and state (w, pulses, nx) in the middle of every pulse."""
     w = problem.windows[e]
     plant = problem.plant(estimate.theta, w.simulator.step)
-    controls = w.simulator.controls(plant, w.experiment.inputs)
-    initial = with_activations(plant, controls, estimate.states[e], w.starts, w.simulator.substeps)
-    run = w.simulator.run([plant], [initial], w.experiment.inputs, w.starts, w.samples)[0]
+    controls = w.simulator.controls([plant], w.experiment.inputs)
+    initial = with_activations(
+        plant, controls[0], estimate.states[e], w.starts, w.simulator.substeps
+    )
+    run = w.simulator.run([plant], [initial], controls, w.starts, w.samples)[0]
     middle = ((np.arange(count) + 0.5) * w.samples / count).astype(int)
     times = w.experiment.time[w.starts[:, None] + middle]
     return times, np.nan_to_num(run.states[:, middle])

@@ -178,6 +178,6 @@ def _run(model: Model, clock: Clock, inputs: np.ndarray, hold: Hold) -> Rollout:
     plant = model.compile(simulator.step)
     initial = np.concatenate([plant.model.qpos0, np.zeros(plant.model.nv)])[None]
     starts = np.zeros(1, int)
-    controls = simulator.controls(plant, inputs)
-    initial = with_activations(plant, controls, initial, starts, clock.substeps)
-    return simulator.run([plant], [initial], inputs, starts, len(inputs))[0]
+    controls = simulator.controls([plant], inputs)
+    initial = with_activations(plant, controls[0], initial, starts, clock.substeps)
+    return simulator.run([plant], [initial], controls, starts, len(inputs))[0]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from physid.errors import InputError
-from physid.identification.linearisation import linearise
+from physid.identification.linearisation import reduce
 from physid.identification.problem import Problem, residuals_of
 from physid.plant.model import Model
 from physid.plant.parameter import Parameter, every_name
@@ -105,7 +105,7 @@ def identifiable(problem: Problem, wanted: Sequence[Parameter], excess: float = 
     trial = replace(problem, parameters=tuple(wanted))
     theta, states = trial.start(), trial.states()
     base = residuals_of(trial, [theta], [states])[0]
-    columns = linearise(trial, theta, states, base).projected
+    columns = reduce(trial, theta, states, base).columns
     chosen: list[Parameter] = []
     basis = np.zeros((len(columns), 0))
     notes = []

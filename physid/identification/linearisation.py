@@ -1,17 +1,19 @@
 """Sensitivities of a simulation by finite differences, initial states projected out window by window.
 
-Variable projection: Golub, Pereyra, SIAM J. Numer. Anal. 10 (1973).
+Variable projection: Golub, Pereyra, SIAM J. Numer. Anal. 10 (1973).  The optimiser needs no column,
+only the triangular factor of all of them (QR by blocks of rows: Golub, Van Loan, Matrix Computations,
+4th ed., 5.1), so a record of any length takes bounded memory; criticism needs the columns themselves.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from physid.errors import DivergedError
-from physid.identification.problem import Problem, residuals_of
+from physid.identification.problem import Block, Problem, blocks_of
 from physid.identification.windows import state_indices
 from physid.plant.model import Model
 from physid.plant.parameter import Parameter
@@ -22,19 +24,160 @@ STEP = 1e-4
 """Relative step of finite differences: above the kinks of friction, below the curvature."""
 
 
+def columns_of(
+    problem: Problem,
+    theta: np.ndarray,
+    states: list[np.ndarray],
+    residuals: list[np.ndarray],
+    *,
+    central: bool = False,
+) -> Iterator[tuple[Block, np.ndarray]]:
+    """Return finite-difference sensitivities of the weighted simulation, a stretch at a time.
+
+    Parameters
+    ----------
+    residuals : list of ndarray (w, samples, ny)
+        At the point itself, weighted.
+    central : bool
+        Step the parameters both ways where their bounds allow it: parameters that act alike then have
+        columns that are alike to eight digits rather than four.
+
+    Yields
+    ------
+    (Block, ndarray (w, samples * ny, nx + p + 1))
+        Columns of the windows' free initial states, of the parameters, and the residual.
+
+    Raises
+    ------
+    DivergedError
+        If a simulation next to the point diverges.
+    """
+    free = state_indices(problem.model)
+    steps = parameter_steps(problem.parameters, theta)
+    scales = state_scales(problem.model, states)
+    p, nx = len(theta), len(free)
+    moved = [
+        [_shifted(x, index, STEP * scales[i]) for x in states] for i, index in enumerate(free)
+    ]
+    ahead = [theta + step * np.eye(p)[k] for k, step in enumerate(steps)]
+    mirrored = _mirrored(problem.parameters, theta, steps) if central else []
+    behind = [theta - steps[k] * np.eye(p)[k] for k in mirrored]
+    thetas = [*[theta] * nx, *ahead, *behind]
+    sizes = np.concatenate([STEP * scales, steps])
+    sizes[[nx + k for k in mirrored]] *= 2.0
+    for block, runs in blocks_of(problem, thetas, [*moved, *[states] * (len(thetas) - nx)]):
+        base = residuals[block.experiment][block.windows, block.samples]
+        found = np.empty((len(base), base[0].size, nx + p + 1))
+        found[:, :, nx + p] = base.reshape(len(base), -1)
+        for k in range(nx + p):
+            found[:, :, k] = ((base - runs[k]) / sizes[k]).reshape(len(base), -1)
+        for i, k in enumerate(mirrored):
+            pair = (runs[nx + p + i] - runs[nx + k]) / sizes[nx + k]
+            found[:, :, nx + k] = pair.reshape(len(base), -1)
+        if not np.isfinite(found).all():
+            raise DivergedError(
+                f"The simulation of {problem.model.name} diverges a hair's breadth from where it does "
+                "not; fix some parameters or give bounds."
+            )
+        yield block, found
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reduced:
+    """A linearised problem without its rows: what least squares needs of it.
+
+    ``columns`` (k, p) and ``residual`` (k,), k = w (nx + p + 1) or so, have the inner products of the
+    parameters' columns and of the residual with the initial states projected out.  ``solvers``
+    (w, nx, nx), ``states`` (w, nx, p) and ``targets`` (w, nx), per experiment, give the windows' best
+    initial states; ``squares`` is the residual's sum of squares before them.
+    """
+
+    columns: np.ndarray
+    residual: np.ndarray
+    solvers: list[np.ndarray]
+    states: list[np.ndarray]
+    targets: list[np.ndarray]
+    squares: float
+
+    @property
+    def fall(self) -> float:
+        """Fall of the squares when the initial states alone take their best values."""
+        return max(self.squares - float(self.residual @ self.residual), 0.0)
+
+    def state_steps(self, change: np.ndarray) -> list[np.ndarray]:
+        """Return the change of every window's free state (w, nx) for a parameter change (p,)."""
+        return [
+            np.einsum("wij,wj->wi", solver, target - columns @ change)
+            for solver, columns, target in zip(
+                self.solvers, self.states, self.targets, strict=True
+            )
+        ]
+
+
+def reduce(
+    problem: Problem,
+    theta: np.ndarray,
+    states: list[np.ndarray],
+    residuals: list[np.ndarray],
+    *,
+    central: bool = False,
+) -> Reduced:
+    """Linearise the simulation and keep triangular factors alone; see :func:`columns_of`."""
+    blocks = columns_of(problem, theta, states, residuals, central=central)
+    return reduced(problem, blocks, residuals)
+
+
+def reduced(
+    problem: Problem, blocks: Iterable[tuple[Block, np.ndarray]], residuals: list[np.ndarray]
+) -> Reduced:
+    """Reduce columns, a stretch of windows at a time and in order, to their triangular factors."""
+    done: list[list[np.ndarray]] = [[] for _ in problem.windows]
+    factor = np.zeros((0, 0, 0))
+    for block, columns in blocks:
+        rows = np.concatenate([factor, columns], axis=1) if block.samples.start else columns
+        factor = np.linalg.qr(rows, mode="r")
+        if block.samples.stop == problem.windows[block.experiment].samples:
+            done[block.experiment].append(factor)
+    return _without_states(
+        [np.concatenate(f) for f in done], len(state_indices(problem.model)), residuals
+    )
+
+
+def _without_states(factors: list[np.ndarray], nx: int, residuals: list[np.ndarray]) -> Reduced:
+    """Project the initial states out of triangular factors (w, k, nx + p + 1)."""
+    solvers, sides, targets, rows = [], [], [], []
+    for factor in factors:
+        top = factor[:, :nx]
+        basis, solver = state_basis(top[:, :, :nx])
+        right = top[:, :, nx:]
+        solvers.append(solver)
+        sides.append(right[:, :, :-1])
+        targets.append(right[:, :, -1])
+        rows.append(project_out(basis, right).reshape(-1, right.shape[2]))
+        rows.append(factor[:, nx:, nx:].reshape(-1, right.shape[2]))
+    stacked = np.concatenate(rows)
+    if len(stacked) > 4 * stacked.shape[1]:
+        stacked = np.linalg.qr(stacked, mode="r")
+    return Reduced(
+        columns=stacked[:, :-1],
+        residual=stacked[:, -1],
+        solvers=solvers,
+        states=sides,
+        targets=targets,
+        squares=float(sum(np.sum(r * r) for r in residuals)),
+    )
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Linearisation:
     """Sensitivities of the weighted *simulation* at a point, initial states projected out.
 
     ``projected`` (m, p) and ``remaining`` (m,): the parameters' columns and the residual orthogonal to
-    the initial states, all windows stacked in time order; ``bases`` span the initial states' columns
-    and ``solvers`` turn a residual into the best change of initial state.
+    the initial states, all windows stacked in time order; ``bases`` span the initial states' columns.
     """
 
     projected: np.ndarray
     remaining: np.ndarray
-    columns: list[np.ndarray]
-    solvers: list[np.ndarray]
     bases: list[np.ndarray]
 
     def without_states(self, residuals: list[np.ndarray]) -> np.ndarray:
@@ -46,65 +189,6 @@ class Linearisation:
             ]
         )
 
-    def state_steps(self, residuals: list[np.ndarray], change: np.ndarray) -> list[np.ndarray]:
-        """Return the change of every window's free state for a parameter change (p,)."""
-        steps = []
-        for columns, solver, residual in zip(self.columns, self.solvers, residuals, strict=True):
-            w = residual.shape[0]
-            left = residual.reshape(w, -1) - columns @ change
-            steps.append(np.einsum("wij,wj->wi", solver, left))
-        return steps
-
-
-def differences(
-    problem: Problem,
-    theta: np.ndarray,
-    states: list[np.ndarray],
-    residuals: list[np.ndarray],
-    *,
-    central: bool = False,
-) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Return finite-difference sensitivities of the weighted simulation.
-
-    Parameters
-    ----------
-    central : bool
-        Step the parameters both ways where their bounds allow it: parameters that act alike then have
-        columns that are alike to eight digits rather than four.
-
-    Returns
-    -------
-    (list of ndarray (w, m, p), list of ndarray (w, m, nx))
-        Per experiment, for the parameters and for the windows' free initial states.
-    """
-    free = state_indices(problem.model)
-    steps = parameter_steps(problem.parameters, theta)
-    scales = state_scales(problem.model, states)
-    thetas = [theta + step * np.eye(len(theta))[k] for k, step in enumerate(steps)]
-    moved = [states] * len(thetas)
-    for i, index in enumerate(free):
-        thetas.append(theta)
-        moved.append([_shifted(x, index, STEP * scales[i]) for x in states])
-    p = len(theta)
-    mirrored = _mirrored(problem.parameters, theta, steps) if central else []
-    behind = [theta - steps[k] * np.eye(p)[k] for k in mirrored]
-    runs = residuals_of(problem, thetas + behind, moved + [states] * len(behind))
-    starts = [residuals] * len(thetas)
-    sizes = np.concatenate([steps, STEP * scales])
-    for k, run in zip(mirrored, runs[len(thetas) :], strict=True):
-        starts[k], sizes[k] = run, 2 * sizes[k]
-    by_parameter, by_state = [], []
-    for e, base in enumerate(residuals):
-        w = base.shape[0]
-        flat = [
-            (start[e] - run[e]).reshape(w, -1) / size
-            for start, run, size in zip(starts, runs, sizes, strict=False)
-        ]
-        m = base[0].size
-        by_parameter.append(np.stack(flat[:p], axis=2) if p else np.zeros((w, m, 0)))
-        by_state.append(np.stack(flat[p:], axis=2))
-    return by_parameter, by_state
-
 
 def linearise(
     problem: Problem,
@@ -114,41 +198,32 @@ def linearise(
     *,
     central: bool = False,
 ) -> Linearisation:
-    """Linearise the simulation and project the initial states out; see :func:`differences`."""
-    by_parameter, by_state = differences(problem, theta, states, residuals, central=central)
-    if not all(np.isfinite(c).all() for c in (*by_parameter, *by_state)):
-        raise DivergedError(
-            f"The simulation of {problem.model.name} diverges a hair's breadth from where it does not; "
-            "fix some parameters or give bounds."
-        )
-    projected, remaining, solvers, bases = [], [], [], []
-    for columns, rows, residual in zip(by_parameter, by_state, residuals, strict=True):
-        w = residual.shape[0]
-        basis, solver = _state_basis(rows)
-        projected.append(project_out(basis, columns).reshape(residual.size, columns.shape[2]))
-        remaining.append(project_out(basis, residual.reshape(w, -1, 1)).ravel())
-        solvers.append(solver)
+    """Linearise the simulation and project the initial states out; see :func:`columns_of`."""
+    p, nx = len(theta), len(state_indices(problem.model))
+    columns = [np.empty((len(r), r[0].size, nx + p + 1)) for r in residuals]
+    ny = len(problem.sigma)
+    for block, found in columns_of(problem, theta, states, residuals, central=central):
+        rows = slice(block.samples.start * ny, block.samples.stop * ny)
+        columns[block.experiment][block.windows, rows] = found
+    projected, bases = [], []
+    for block_columns in columns:
+        basis, _ = state_basis(block_columns[:, :, :nx])
+        projected.append(project_out(basis, block_columns[:, :, nx:]).reshape(-1, p + 1))
         bases.append(basis)
-    return Linearisation(
-        projected=np.concatenate(projected),
-        remaining=np.concatenate(remaining),
-        columns=by_parameter,
-        solvers=solvers,
-        bases=bases,
-    )
+    stacked = np.concatenate(projected)
+    return Linearisation(projected=stacked[:, :-1], remaining=stacked[:, -1].copy(), bases=bases)
 
 
-def _state_basis(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def state_basis(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return an orthonormal basis (w, m, nx) of the states' columns and their pseudo-inverse."""
-    finite = np.nan_to_num(rows, nan=0.0, posinf=0.0, neginf=0.0)
-    scale = np.linalg.norm(finite, axis=1, keepdims=True)
+    scale = np.linalg.norm(rows, axis=1, keepdims=True)
     scale[scale == 0] = 1.0
-    u, s, vt = np.linalg.svd(finite / scale, full_matrices=False)
+    u, s, vt = np.linalg.svd(rows / scale, full_matrices=False)
     seen = s > HIDDEN * s[:, :1].clip(1e-300)
     basis = u * seen[:, None, :]
     inverse = np.where(seen, 1.0 / np.where(seen, s, 1.0), 0.0)
-    solver = np.einsum("wki,wk,wmk->wim", vt, inverse, u) / scale.transpose(0, 2, 1)
-    return basis, solver
+    solver = (vt.transpose(0, 2, 1) * inverse[:, None, :]) @ u.transpose(0, 2, 1)
+    return basis, solver / scale.transpose(0, 2, 1)
 
 
 def project_out(basis: np.ndarray, columns: np.ndarray) -> np.ndarray:
@@ -193,11 +268,11 @@ def _shifted(states: np.ndarray, index: int, step: float) -> np.ndarray:
 
 
 def normal_equations(
-    problem: Problem, point: Linearisation, theta: np.ndarray
+    problem: Problem, point: Reduced, theta: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the Gauss-Newton matrix (p, p) and the descent direction J'r (p,), priors included."""
-    hessian = point.projected.T @ point.projected
-    descent = point.projected.T @ point.remaining
+    hessian = point.columns.T @ point.columns
+    descent = point.columns.T @ point.residual
     for k, p in enumerate(problem.parameters):
         if p.prior is not None:
             hessian[k, k] += p.prior[1] ** -2

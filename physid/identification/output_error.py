@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from physid.errors import DivergedError
-from physid.identification.linearisation import Linearisation, linearise, normal_equations
+from physid.identification.linearisation import Reduced, normal_equations, reduce
 from physid.identification.problem import Estimate, Problem, residuals_of, with_activations
 from physid.identification.windows import Windows, initial_states, state_indices
 from physid.plant.model import Model
@@ -67,11 +67,11 @@ def minimise(
     iteration = 0
     while iteration < iterations and not done:
         iteration += 1
-        point = linearise(problem, theta, states, residuals)
+        point = reduce(problem, theta, states, residuals)
         accepted = False
         for share in SHARES:
             change, predicted = _step(problem, point, theta, damping)
-            shifts = point.state_steps(residuals, change)
+            shifts = point.state_steps(change)
             change = share * change
             moved = [
                 _moved(problem.model, x, share * d) for x, d in zip(states, shifts, strict=True)
@@ -117,13 +117,11 @@ def _chi2(problem: Problem, theta: np.ndarray, residuals: list[np.ndarray]) -> f
 
 
 def _step(
-    problem: Problem, point: Linearisation, theta: np.ndarray, damping: float
+    problem: Problem, point: Reduced, theta: np.ndarray, damping: float
 ) -> tuple[np.ndarray, float]:
     """Solve the damped normal equations within the bounds; return the step and the predicted fall."""
-    free = float(point.remaining @ point.remaining)
     if not len(theta):
-        total = free
-        return np.zeros(0), max(total, 0.0)
+        return np.zeros(0), point.fall
     hessian, descent = normal_equations(problem, point, theta)
     sizes = np.array([max(abs(t), p.scale) for p, t in zip(problem.parameters, theta, strict=True)])
     sizes = np.minimum(sizes, HUGE)
@@ -143,7 +141,7 @@ def _step(
     solution = lsq_linear(root[:, None] * vectors.T, target, bounds=(lower, upper), method="bvls").x
     change = np.clip(solution / scale, lower / scale, upper / scale)
     predicted = float(2 * descent @ change - change @ hessian @ change)
-    return change, max(predicted, 0.0)
+    return change, max(predicted, 0.0) + point.fall
 
 
 def divergence_sentence(problem: Problem, residuals: list[np.ndarray]) -> str:
@@ -169,11 +167,9 @@ def _runaway_joint(problem: Problem, windows: Windows, window: int) -> str:
     theta = problem.start()
     plant = one.plant(theta, windows.simulator.step)
     states = initial_states(problem.model, start)
-    controls = windows.simulator.controls(plant, windows.experiment.inputs)
-    full = with_activations(plant, controls, states, start.starts, windows.simulator.substeps)
-    run = windows.simulator.run(
-        [plant], [full], windows.experiment.inputs, start.starts, start.samples
-    )[0]
+    controls = windows.simulator.controls([plant], windows.experiment.inputs)
+    full = with_activations(plant, controls[0], states, start.starts, windows.simulator.substeps)
+    run = windows.simulator.run([plant], [full], controls, start.starts, start.samples)[0]
     path = run.states[0]
     finite = path[np.isfinite(path).all(axis=1)]
     structure = problem.model.structure

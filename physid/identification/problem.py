@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -19,6 +19,8 @@ FILTER = int(mujoco.mjtDyn.mjDYN_FILTER)
 INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
 MANY = 2
 """Plants of a problem that are compiled before it is worth knowing the family of all."""
+MOST_AT_ONCE = 20000
+"""Samples that are simulated at a time: what the columns of a linearisation may take of memory."""
 MOST_FAMILIES = 64
 """Families kept per MJCF; the oldest goes first."""
 
@@ -122,6 +124,8 @@ def with_activations(
     ndarray (w, nq + nv + na)
     """
     model = plant.model
+    if not model.na:
+        return states
     activations = np.zeros((len(starts), model.na))
     for i in range(model.nactuator):
         kind = int(model.actuator_dyntype[i])
@@ -139,6 +143,88 @@ def with_activations(
     return np.hstack([states, activations])
 
 
+@dataclass(frozen=True, slots=True)
+class Block:
+    """A stretch of an experiment's windows: which experiment, which windows, which samples of them."""
+
+    experiment: int
+    windows: slice
+    samples: slice
+
+
+def blocks_of(
+    problem: Problem, thetas: Sequence[np.ndarray], states: Sequence[list[np.ndarray]]
+) -> Iterator[tuple[Block, list[np.ndarray]]]:
+    """Simulate several parameter vectors, each with its own initial states, a stretch at a time.
+
+    Long records are never held in memory whole: each stretch starts from the states in which the one
+    before it ended.
+
+    Yields
+    ------
+    (Block, list over vectors of ndarray (w, samples, ny))
+        Weighted residuals, measured - simulated; NaN after a divergence.
+    """
+    plants: dict[tuple[float, bytes], Plant] = {}
+    for e, windows in enumerate(problem.windows):
+        simulator, experiment = windows.simulator, windows.experiment
+        row = _plants(problem, simulator, thetas, plants)
+        controls = simulator.controls(row, experiment.inputs)
+        initial = [
+            with_activations(plant, u, x[e], windows.starts, simulator.substeps)
+            for plant, u, x in zip(row, controls, states, strict=True)
+        ]
+        count = len(windows.starts)
+        most = MOST_AT_ONCE if continues(row[0], simulator) else windows.samples
+        together = max(1, MOST_AT_ONCE // windows.samples)
+        for first in range(0, count, together):
+            chosen = slice(first, min(first + together, count))
+            x = [state[chosen] for state in initial]
+            for begin in range(0, windows.samples, most):
+                end = min(begin + most, windows.samples)
+                starts = windows.starts[chosen] + begin
+                more = 1 if end < windows.samples else 0
+                runs = simulator.run(row, x, controls, starts, end - begin + more)
+                index = starts[:, None] + np.arange(end - begin)
+                measured = experiment.outputs[index] / problem.sigma
+                yield (
+                    Block(e, chosen, slice(begin, end)),
+                    [
+                        measured
+                        - run.outputs[:, : end - begin, experiment.channels] / problem.sigma
+                        for run in runs
+                    ],
+                )
+                if more:
+                    x = [run.states[:, -1].copy() for run in runs]
+
+
+def continues(plant: Plant, simulator: Simulator) -> bool:
+    """Say whether a run can go on from q, v and the activations alone, as if never interrupted."""
+    if simulator.compiled:
+        return True
+    model = plant.model
+    size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    return bool(size == 1 + model.nq + model.nv + model.na)
+
+
+def _plants(
+    problem: Problem,
+    simulator: Simulator,
+    thetas: Sequence[np.ndarray],
+    known: dict[tuple[float, bytes], Plant],
+) -> list[Plant]:
+    """Return a plant per parameter vector, each compiled once."""
+    family = problem.family(simulator, thetas) if simulator.compiled else None
+    row = []
+    for theta in thetas:
+        key = (simulator.step, theta.tobytes())
+        if key not in known:
+            known[key] = family.plant(theta) if family else problem.plant(theta, simulator.step)
+        row.append(known[key])
+    return row
+
+
 def residuals_of(
     problem: Problem,
     thetas: Sequence[np.ndarray],
@@ -151,33 +237,9 @@ def residuals_of(
     list over vectors of list over experiments of ndarray (w, samples, ny)
         Weighted residuals, measured - simulated; NaN after a divergence.
     """
-    found: list[list[np.ndarray]] = [[] for _ in thetas]
-    plants: dict[tuple[float, bytes], Plant] = {}
-    for e, windows in enumerate(problem.windows):
-        simulator = windows.simulator
-        family = problem.family(simulator, thetas) if simulator.compiled else None
-        row = []
-        for theta in thetas:
-            key = (simulator.step, theta.tobytes())
-            if key not in plants:
-                plants[key] = (
-                    family.plant(theta) if family else problem.plant(theta, simulator.step)
-                )
-            row.append(plants[key])
-        initial = []
-        for plant, x in zip(row, states, strict=True):
-            if plant.model.na:
-                controls = simulator.controls(plant, windows.experiment.inputs)
-                initial.append(
-                    with_activations(plant, controls, x[e], windows.starts, simulator.substeps)
-                )
-            else:
-                initial.append(x[e])
-        runs = simulator.run(
-            row, initial, windows.experiment.inputs, windows.starts, windows.samples
-        )
-        measured = windows.measured()
+    shapes = [(len(w.starts), w.samples, len(problem.sigma)) for w in problem.windows]
+    found = [[np.empty(shape) for shape in shapes] for _ in thetas]
+    for block, runs in blocks_of(problem, thetas, states):
         for k, run in enumerate(runs):
-            simulated = run.outputs[:, :, windows.experiment.channels]
-            found[k].append((measured - simulated) / problem.sigma)
+            found[k][block.experiment][block.windows, block.samples] = run
     return found

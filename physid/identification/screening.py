@@ -159,13 +159,11 @@ def _visited(problem: Problem, estimate: Estimate) -> tuple[np.ndarray, np.ndarr
     for e, windows in enumerate(problem.windows):
         simulator, experiment = windows.simulator, windows.experiment
         plant = problem.plant(estimate.theta, simulator.step)
-        controls = simulator.controls(plant, experiment.inputs)
+        controls = simulator.controls([plant], experiment.inputs)
         initial = with_activations(
-            plant, controls, estimate.states[e], windows.starts, simulator.substeps
+            plant, controls[0], estimate.states[e], windows.starts, simulator.substeps
         )
-        run = simulator.run([plant], [initial], experiment.inputs, windows.starts, windows.samples)[
-            0
-        ]
+        run = simulator.run([plant], [initial], controls, windows.starts, windows.samples)[0]
         flat = run.states.reshape(-1, run.states.shape[2])
         rows = (windows.starts[:, None] + np.arange(windows.samples)).ravel()
         good = np.flatnonzero(np.isfinite(flat).all(axis=1))

@@ -7,13 +7,15 @@ time.  Limits: the model must fit; a missing effect makes every interval wrong (
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from physid.identification.linearisation import linearise, normal_equations
+from physid.identification.linearisation import Reduced, columns_of, normal_equations, reduced
 from physid.identification.noise import correlation_time
-from physid.identification.problem import Estimate, Problem
+from physid.identification.problem import MOST_AT_ONCE, Block, Estimate, Problem
 
 WIDEST = 400
 """Most lags of the Bartlett kernel, samples."""
@@ -31,10 +33,11 @@ class Uncertainty:
 
 def uncertainty_of(problem: Problem, estimate: Estimate) -> Uncertainty:
     """Return the covariance of the free parameters at an estimate."""
-    point = linearise(problem, estimate.theta, estimate.states, estimate.residuals, central=True)
     p = len(estimate.theta)
     if not p:
         return Uncertainty(np.zeros((0, 0)), np.zeros(0))
+    blocks = _columns(problem, estimate)
+    point = reduced(problem, blocks(), estimate.residuals)
     hessian, _ = normal_equations(problem, point, estimate.theta)
     scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
     values, vectors = np.linalg.eigh(hessian / np.outer(scale, scale))
@@ -42,43 +45,75 @@ def uncertainty_of(problem: Problem, estimate: Estimate) -> Uncertainty:
     inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T / np.outer(scale, scale)
     blind = np.abs(vectors[:, ~seen]).max(axis=1, initial=0.0) > 0.1
     blind |= np.diag(hessian) <= 1e-280
-    meat = long_run_scores(problem, point.projected, point.remaining)
-    covariance = inverse @ meat @ inverse
+    covariance = inverse @ long_run_scores(problem, estimate, point, blocks()) @ inverse
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     std[blind] = np.nan
     return Uncertainty(covariance, std)
 
 
-def long_run_scores(problem: Problem, columns: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    """Return the long-run covariance of the scores, (p, p), summed over the records."""
-    ny = len(problem.sigma)
-    total = np.zeros((columns.shape[1], columns.shape[1]))
-    first = 0
-    dof = max(1.0, problem.measurements() - columns.shape[1] - _free_states(problem))
-    inflate = problem.measurements() / dof
-    for windows in problem.windows:
-        size = len(windows.starts) * windows.samples * ny
-        block = slice(first, first + size)
-        first += size
-        scores = (
-            (columns[block] * residual[block, None]).reshape(-1, ny, columns.shape[1]).sum(axis=1)
-        )
-        rows = residual[block].reshape(-1, ny)
+def _columns(
+    problem: Problem, estimate: Estimate
+) -> Callable[[], Iterable[tuple[Block, np.ndarray]]]:
+    """Return how to go through the columns, twice: what fits in memory is simulated once."""
+    once = partial(
+        columns_of, problem, estimate.theta, estimate.states, estimate.residuals, central=True
+    )
+    if sum(len(w.starts) * w.samples for w in problem.windows) > MOST_AT_ONCE:
+        return once
+    kept = list(once())
+    return lambda: kept
+
+
+def long_run_scores(
+    problem: Problem,
+    estimate: Estimate,
+    point: Reduced,
+    blocks: Iterable[tuple[Block, np.ndarray]],
+) -> np.ndarray:
+    """Return the long-run covariance of the scores, (p, p), summed over the records.
+
+    ``blocks`` are the columns once more, now that it is known what the initial states take of each.
+    """
+    ny, p = len(problem.sigma), len(estimate.theta)
+    scores = [np.empty((len(w.starts), w.samples, p)) for w in problem.windows]
+    remaining = [np.empty_like(r) for r in estimate.residuals]
+    taken = [
+        solver @ np.concatenate([columns, target[:, :, None]], axis=2)
+        for solver, columns, target in zip(point.solvers, point.states, point.targets, strict=True)
+    ]
+    for block, found in blocks:
+        share = taken[block.experiment][block.windows]
+        nx = share.shape[1]
+        rest = found[:, :, nx:] - found[:, :, :nx] @ share
+        w, samples = len(rest), block.samples.stop - block.samples.start
+        left = rest[:, :, -1]
+        products = (rest[:, :, :-1] * left[:, :, None]).reshape(w, samples, ny, p)
+        scores[block.experiment][block.windows, block.samples] = products.sum(axis=2)
+        remaining[block.experiment][block.windows, block.samples] = left.reshape(w, samples, ny)
+    dof = max(1.0, problem.measurements() - p - _free_states(problem))
+    total = np.zeros((p, p))
+    for score, left in zip(scores, remaining, strict=True):
+        series, rows = score.reshape(-1, p), left.reshape(-1, ny)
         width = int(np.ceil(3 * max(correlation_time(rows[:, k]) for k in range(ny))))
-        total += bartlett(scores, min(width, len(scores) // 8, WIDEST))
-    for k, p in enumerate(problem.parameters):
-        if p.prior is not None:
-            total[k, k] += p.prior[1] ** -2
-    return np.asarray(total * inflate)
+        total += bartlett(series, min(width, len(series) // 8, WIDEST))
+    for k, parameter in enumerate(problem.parameters):
+        if parameter.prior is not None:
+            total[k, k] += parameter.prior[1] ** -2
+    return np.asarray(total * problem.measurements() / dof)
 
 
 def bartlett(scores: np.ndarray, width: int) -> np.ndarray:
-    """Return the Bartlett-kernel sum of autocovariances of a series (n, p) up to a lag."""
-    total = np.asarray(scores.T @ scores)
-    for lag in range(1, width + 1):
-        cross = scores[lag:].T @ scores[:-lag]
-        total = total + (1.0 - lag / (width + 1)) * (cross + cross.T)
-    return total
+    """Return the Bartlett-kernel sum of autocovariances of a series (n, p) up to a lag.
+
+    The kernel is the mean product of sums over all stretches of ``width + 1`` instants, the series
+    continued by zeros: one pass, however many lags.
+    """
+    n, p = scores.shape
+    sums = np.zeros((n + 2 * width + 2, p))
+    np.cumsum(scores, axis=0, out=sums[width + 1 : width + 1 + n])
+    sums[width + 1 + n :] = sums[width + n]
+    stretches = sums[width + 1 :] - sums[: n + width + 1]
+    return np.asarray(stretches.T @ stretches / (width + 1))
 
 
 def _free_states(problem: Problem) -> int:

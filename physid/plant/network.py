@@ -95,6 +95,44 @@ def _one_step_map(linear, nv, n, h):  # type: ignore[no-untyped-def]
     return total, np.ascontiguousarray(drive[:, nv:])
 
 
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _integrate_linear(  # type: ignore[no-untyped-def]
+    linear, onward, drive, limits, initial, controls, starts, samples, substeps, states
+):
+    """Integrate windows of a rig without elements: x+ = P x + Q (b + B u), nothing else."""
+    n, nu = initial.shape[1], limits.shape[0]
+    steady = drive @ np.ascontiguousarray(linear[:, 0])
+    driven = drive @ np.ascontiguousarray(linear[:, 1 + n :])
+    x, after = np.zeros(n), np.zeros(n)
+    for w in range(initial.shape[0]):
+        for i in range(n):
+            x[i] = initial[w, i]
+        for k in range(samples):
+            step = (starts[w] + k) * substeps
+            wild = False
+            for i in range(n):
+                states[w, k, i] = x[i]
+                wild = wild or not abs(x[i]) < 1e9
+            if wild:
+                states[w, k:] = np.nan
+                break
+            for s in range(substeps):
+                row = min(step + s, controls.shape[0] - 1)
+                for i in range(n):
+                    after[i] = steady[i]
+                for j in range(nu):
+                    u = min(max(controls[row, j], limits[j, 0]), limits[j, 1])
+                    for i in range(n):
+                        after[i] += driven[i, j] * u
+                for i in range(n):
+                    value = after[i]
+                    for j in range(n):
+                        value += onward[i, j] * x[j]
+                    after[i] = value
+                for i in range(n):
+                    x[i] = after[i]
+
+
 MOST_EVENTS = 24
 """Instants at which something comes to rest or to an edge, located within one step at most."""
 REST = 1e-9
@@ -176,6 +214,11 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
     wanted = rates.shape[0] > 0
     if plain:
         onward, drive = _one_step_map(linear, nv, n, h)
+        if not rubs and not wanted:
+            _integrate_linear(
+                linear, onward, drive, limits, initial, controls, starts, samples, substeps, states
+            )
+            return
     else:
         onward, drive = np.zeros((0, 0)), np.zeros((0, 0))
     u = np.zeros(nu)

@@ -108,20 +108,32 @@ class Simulator:
         """Return the simulator with the engine as its only back end."""
         return replace(self, compiled=False)
 
-    def controls(self, plant: Plant, inputs: np.ndarray) -> np.ndarray:
-        """Turn a record's inputs (n, nu) into the input of every substep (n * substeps, nu)."""
-        fine = between_samples(inputs, self.substeps, self.hold)
+    def controls(self, plants: Sequence[Plant], inputs: np.ndarray) -> list[np.ndarray]:
+        """Turn a record's inputs (n, nu) into the input of every substep (n * substeps, nu), per plant.
+
+        Plants that neither delay nor condition an input share one array.
+        """
+        held = np.ascontiguousarray(between_samples(inputs, self.substeps, self.hold))
+        once = {id(plant): plant for plant in plants}
+        found = {key: self._acting(plant, held) for key, plant in once.items()}
+        return [found[id(plant)] for plant in plants]
+
+    def _acting(self, plant: Plant, held: np.ndarray) -> np.ndarray:
+        late = np.flatnonzero(plant.delays).tolist()
+        if not plant.conditioners and not late:
+            return held
+        fine = held.copy()
         for k, placed in plant.conditioners:
             fine[:, k] = placed.effect.condition(fine[:, k], placed.values)
-        for k in np.flatnonzero(plant.delays).tolist():
+        for k in late:
             fine[:, k] = delayed(fine[:, k], plant.delays[k] / self.step)
-        return np.ascontiguousarray(fine)
+        return fine
 
     def run(
         self,
         plants: Sequence[Plant],
         initial: Sequence[np.ndarray],
-        inputs: np.ndarray,
+        controls: Sequence[np.ndarray],
         starts: np.ndarray,
         samples: int,
     ) -> list[Rollout]:
@@ -133,8 +145,8 @@ class Simulator:
             Compiled at this simulator's step.
         initial : sequence of ndarray (w, nq + nv + na)
             State at the start of each window, per plant.
-        inputs : ndarray (n, nu)
-            The whole record's inputs.
+        controls : sequence of ndarray (n * substeps, nu)
+            Input of every substep of the whole record, per plant; see :meth:`controls`.
         starts : ndarray (w,)
             First sample of each window.
         samples : int
@@ -145,9 +157,6 @@ class Simulator:
         list of Rollout
             One per plant; NaN after a divergence.
         """
-        once = {id(plant): plant for plant in plants}
-        signals = {key: self.controls(plant, inputs) for key, plant in once.items()}
-        controls = [signals[id(plant)] for plant in plants]
         if self.compiled:
             found = self._run_network(plants, initial, controls, starts, samples)
             if found is not None:

@@ -197,7 +197,7 @@ def test_dead_zone(width, seed):
     model = with_effect("dead_zone", "motor", width=width)
     simulator = plain(model)
     u = np.random.default_rng(seed).uniform(-2, 2, (30, 2))
-    found = simulator.controls(model.compile(simulator.step), u)
+    found = simulator.controls([model.compile(simulator.step)], u)[0]
     beyond = np.where(np.abs(u[:, 0]) < width, 0.0, u[:, 0] - np.sign(u[:, 0]) * width)
     assert np.allclose(found, np.column_stack([beyond, u[:, 1]]), atol=1e-15)
 
@@ -206,7 +206,8 @@ def test_a_lag_follows_a_step_exponentially():
     tau = 0.02
     model = with_effect("actuator_lag", "motor", time_constant=tau)
     plant = model.compile(1e-3)
-    run = plain(model).run([plant], [np.zeros((1, 5))], np.ones((100, 2)), np.zeros(1, int), 100)[0]
+    controls = [np.ones((100, 2))]
+    run = plain(model).run([plant], [np.zeros((1, 5))], controls, np.zeros(1, int), 100)[0]
     time = np.arange(100) * 1e-3
     assert np.allclose(run.states[0, :, 4], 1 - np.exp(-time / tau), atol=1e-7)
 

@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 
 from physid.errors import DivergedError
 from physid.identification.accuracy import refine_steps
-from physid.identification.linearisation import differences, linearise
+from physid.identification.linearisation import columns_of, linearise
 from physid.identification.output_error import minimise
 from physid.identification.problem import residuals_of, with_activations
 from physid.identification.staged import thinned, windowed
@@ -226,14 +226,11 @@ def test_activations_at_windows_are_those_of_the_whole_run():
     model = load_text(SERVOS)
     simulator = plain(model, 1e-3, 2)
     plant, inputs = model.compile(simulator.step), inputs_for(model, 300)
-    first = with_activations(
-        plant, simulator.controls(plant, inputs), np.zeros((1, 4)), np.zeros(1, int), 2
-    )
+    controls = simulator.controls([plant], inputs)[0]
+    first = with_activations(plant, controls, np.zeros((1, 4)), np.zeros(1, int), 2)
     states = run(simulator, model, inputs, first).states[0]
     starts = np.array([0, 17, 130, 299])
-    found = with_activations(
-        plant, simulator.controls(plant, inputs), states[starts, :4], starts, 2
-    )
+    found = with_activations(plant, controls, states[starts, :4], starts, 2)
     assert plant.model.na == 3
     assert np.allclose(found, states[starts], atol=1e-7)
 
@@ -247,14 +244,18 @@ def test_central_differences_are_those_of_the_limit():
         step = 1e-6 * theta * np.eye(3)[k]
         ends = residuals_of(problem, [theta - step, theta + step], [states] * 2)
         exact.append((ends[0][0] - ends[1][0]).ravel() / (2 * step[k]))
-    forward = differences(problem, theta, states, base)[0][0][0]
-    central = differences(problem, theta, states, base, central=True)[0][0][0]
+
+    def differences(problem, **options):
+        ((_, found),) = columns_of(problem, theta, states, base, **options)
+        return found[0, :, 2:5]
+
+    forward, central = differences(problem), differences(problem, central=True)
     size = np.abs(exact).max(axis=1)
     assert (np.abs(central - np.transpose(exact)).max(axis=0) < 1e-6 * size).all()
     assert (np.abs(forward - central).max(axis=0) > 1e-6 * size).any()
     at = replace(problem.parameters[0], lower=theta[0])
     bounded = replace(problem, parameters=(at, *problem.parameters[1:]))
-    one_sided = differences(bounded, theta, states, base, central=True)[0][0][0]
+    one_sided = differences(bounded, central=True)
     assert np.array_equal(one_sided[:, 0], forward[:, 0])
     assert np.array_equal(one_sided[:, 1:], central[:, 1:])
 

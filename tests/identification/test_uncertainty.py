@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from physid.identification.linearisation import linearise, normal_equations
+from physid.identification.linearisation import linearise, normal_equations, reduce
 from physid.identification.output_error import minimise
 from physid.identification.uncertainty import bartlett, uncertainty_of
 
@@ -68,7 +68,7 @@ def test_intervals_cover_under_coloured_noise():
 def test_under_white_noise_the_sandwich_is_the_inverse_of_the_information():
     problem = spring_problem(sigma=1e-3, n=2000)
     estimate = minimise(problem, tolerance=1e-9)
-    point = linearise(problem, estimate.theta, estimate.states, estimate.residuals)
+    point = reduce(problem, estimate.theta, estimate.states, estimate.residuals)
     hessian, _ = normal_equations(problem, point, estimate.theta)
     classic = np.sqrt(np.diag(np.linalg.inv(hessian)))
     assert uncertainty_of(problem, estimate).std_error == pytest.approx(classic, rel=0.25)

@@ -88,5 +88,6 @@ def simulated(model, inputs, dt, *, engine):
         simulator = make_simulator(model, dt, substeps, ranges)
         assert simulator.compiled
     plant = model.compile(simulator.step)
-    run = simulator.run([plant], [np.zeros((1, 2 * nv))], inputs, np.zeros(1, int), len(inputs))
+    controls = simulator.controls([plant], inputs)
+    run = simulator.run([plant], [np.zeros((1, 2 * nv))], controls, np.zeros(1, int), len(inputs))
     return run[0].states[0]

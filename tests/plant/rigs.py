@@ -123,7 +123,8 @@ def run(simulator, model, inputs, x0=None, samples=None, starts=(0,)):
     plant = model.compile(simulator.step)
     x0 = start_of(plant) if x0 is None else x0
     samples = len(inputs) if samples is None else samples
-    return simulator.run([plant], [x0], inputs, np.array(starts), samples)[0]
+    controls = simulator.controls([plant], inputs)
+    return simulator.run([plant], [x0], controls, np.array(starts), samples)[0]
 
 
 def twice(model, n=600, dt=1e-3, substeps=2, hold="zero", level=1.0, probe=None):

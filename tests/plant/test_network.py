@@ -88,7 +88,8 @@ def test_several_windows_and_plants_are_each_simulated_alone():
     initial = [0.1 * rng.standard_normal((3, 4)) for _ in plants]
     starts = np.array([0, 50, 190])
     for chosen in (simulator, simulator.with_engine()):
-        together = chosen.run(plants, initial, inputs, starts, 80)
+        controls = chosen.controls(plants, inputs)
+        together = chosen.run(plants, initial, controls, starts, 80)
         for k, m in enumerate((model, other)):
             for w, start in enumerate(starts):
                 alone = run(chosen, m, inputs, initial[k][w : w + 1], 80, [start])
@@ -106,8 +107,9 @@ def test_threads_change_nothing():
     from dataclasses import replace
 
     for chosen in (simulator, simulator.with_engine()):
-        one = chosen.run(plants, initial, inputs, np.array([0, 40]), 50)
-        two = replace(chosen, threads=2).run(plants, initial, inputs, np.array([0, 40]), 50)
+        controls = chosen.controls(plants, inputs)
+        one = chosen.run(plants, initial, controls, np.array([0, 40]), 50)
+        two = replace(chosen, threads=2).run(plants, initial, controls, np.array([0, 40]), 50)
         for a, b in zip(one, two, strict=True):
             assert np.array_equal(a.states, b.states)
 

@@ -38,7 +38,8 @@ def relative_error(case, folder, *, substeps, exact=True):
     simulator = simulator if exact else simulator.as_engine()
     assert simulator.compiled
     plant = model.compile(simulator.step)
-    run = simulator.run([plant], [start.reshape(1, -1)], u, np.zeros(1, int), len(u))[0]
+    controls = simulator.controls([plant], u)
+    run = simulator.run([plant], [start.reshape(1, -1)], controls, np.zeros(1, int), len(u))[0]
     return float((np.abs(run.outputs[0] - truth) / truth.std(axis=0)).max())
 
 
