@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from physid.errors import ModelError, NumericsError
-from physid.identification.force_balance import balance, observable, widths
+from physid.identification.force_balance import observable, solve_balance, widths
 from physid.identification.output_error import minimise
 from physid.identification.problem import Estimate, Problem
 from physid.identification.screening import screen
@@ -274,7 +274,7 @@ def _by_balance(inner: Problem, starts: Sequence[Start]) -> list[Start]:
     width = float(widths(experiments)[1])
     try:
         simulator = inner.windows[0].simulator
-        theta = balance(
+        theta = solve_balance(
             trial.model, trial.parameters, experiments, width, simulator=simulator
         ).theta
     except (np.linalg.LinAlgError, ValueError, ModelError):

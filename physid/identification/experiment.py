@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.signal import savgol_filter
@@ -16,9 +17,9 @@ from physid.plant.structure import Place, Structure, tendon_row
 from physid.record import Record, load_record
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Experiment:
-    """One record matched to a model.
+    """One record matched to a model; what is computed from it alone is kept.
 
     Parameters
     ----------
@@ -52,6 +53,26 @@ class Experiment:
     def samples(self) -> int:
         """Number of rows."""
         return len(self.time)
+
+    @cached_property
+    def period(self) -> float:
+        """A typical period of the motion [s], from rms value and rms rate (Rice 1944)."""
+        smooth, rate = self.smoothed(4)
+        spread, speed = smooth.std(axis=0), rate.std(axis=0)
+        moving = spread > 0
+        periods = 2 * np.pi * spread[moving] / np.maximum(speed[moving], 1e-300)
+        return float(np.median(periods))
+
+    def smoothed(self, width: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return smoothed outputs and their rates, (n, ny) each; see :func:`smooth_derivatives`."""
+        known: dict[int, tuple[np.ndarray, np.ndarray]] = self._smoothed
+        if width not in known:
+            known[width] = smooth_derivatives(self.outputs, self.dt, width)
+        return known[width]
+
+    @cached_property
+    def _smoothed(self) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+        return {}
 
 
 def as_experiment(
@@ -198,16 +219,6 @@ def smooth_derivatives(y: np.ndarray, dt: float, width: int) -> tuple[np.ndarray
     )
 
 
-def period_of(experiment: Experiment) -> float:
-    """Return a typical period of the measured motion [s], from rms value and rms rate (Rice 1944)."""
-    y = experiment.outputs
-    smooth, rate = smooth_derivatives(y, experiment.dt, 4)
-    spread, speed = smooth.std(axis=0), rate.std(axis=0)
-    moving = spread > 0
-    periods = 2 * np.pi * spread[moving] / np.maximum(speed[moving], 1e-300)
-    return float(np.median(periods))
-
-
 def ranges_of(model: Model, experiments: Sequence[Experiment]) -> Ranges:
     """Return where the records move, for probing: generous half-widths."""
     nv = model.structure.nv
@@ -215,7 +226,7 @@ def ranges_of(model: Model, experiments: Sequence[Experiment]) -> Ranges:
     inputs = np.zeros(len(model.structure.inputs))
     for experiment in experiments:
         kin = kinematics_of(model, experiment.channels)
-        y, rate = smooth_derivatives(experiment.outputs, experiment.dt, 4)
+        y, rate = experiment.outputs, experiment.smoothed(4)[1]
         seen = np.linalg.pinv(kin.position)
         position = np.maximum(position, np.abs(seen @ y.T).max(axis=1))
         speed = np.maximum(speed, np.abs(seen @ rate.T).max(axis=1))

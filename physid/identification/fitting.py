@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from physid.identification.force_balance import Balance, balance, observable, wi
 from physid.identification.problem import Estimate, Problem, residuals_of
 from physid.identification.staged import (
     LONG,
+    SETTLED,
     fit_growing,
     fit_whole,
     fit_windows,
@@ -83,7 +85,14 @@ def fit_study(study: Study, *, from_windows: bool = True) -> Fitted:
 
 
 def _from_windows(study: Study) -> Estimate:
-    """Fit long windows, then whole records; through growing ones where these are fitted far worse."""
+    """Fit long windows, then whole records; through growing ones where these are fitted far worse.
+
+    Whole records that are fitted to hardly more than noise from the start need no windows.
+    """
+    with suppress(NumericsError):
+        first = fit_whole(on_whole_records(study.problem), study.theta)
+        if first.squares < SETTLED * study.problem.measurements():
+            return first
     windows = windowed(study.problem, LONG)
     near = fit_windows(windows, study.theta)
     problem = on_whole_records(study.problem)

@@ -10,24 +10,32 @@ regressors biases narrow ones, wide ones smear.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import lsq_linear
 
-from physid.identification.experiment import Experiment, kinematics_of, period_of
+from physid.identification.experiment import Experiment, kinematics_of
 from physid.identification.linearisation import parameter_steps
-from physid.plant.assembly import network_of, rates_of
+from physid.identification.problem import Problem
+from physid.plant.assembly import assemble, network_of, rates_of
 from physid.plant.callback import run_time_laws
 from physid.plant.model import Model, Plant
+from physid.plant.network import Network
 from physid.plant.parameter import Parameter
 from physid.plant.simulation import Hold, Simulator, between_samples, delayed
 
 POINTS = 1000
 """Most instants used per record; the closing balance of a result uses more."""
+FEWEST_POINTS = 50
+"""... of a stretch of a long record."""
+LONGEST = 20000
+"""Samples of a record beyond which stretches of it are used, so many in all."""
+PIECES = 8
+"""Stretches of a long record."""
 NUMBER_OF_WIDTHS = 5
 """Smoothing widths tried, from two samples to a 25th of the motion's period."""
 
@@ -35,7 +43,7 @@ NUMBER_OF_WIDTHS = 5
 def widths(experiments: Sequence[Experiment]) -> np.ndarray:
     """Return the smoothing widths to try, geometrically spaced [s]."""
     least = 2.0 * min(e.dt for e in experiments)
-    most = max(min(period_of(e) for e in experiments) / 25.0, 2.0 * least)
+    most = max(min(e.period for e in experiments) / 25.0, 2.0 * least)
     return np.geomspace(least, most, NUMBER_OF_WIDTHS)
 
 
@@ -128,12 +136,8 @@ def missing_force(plant: Plant, motion: Motion, *, compiled: bool) -> tuple[np.n
     if network is not None:
         mass = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, mass)
-        act = [_steady_activation(model, u) for u in motion.inputs] if model.na else []
-        states = np.hstack(
-            [motion.position, motion.speed, np.array(act).reshape(len(motion.time), model.na)]
-        )
-        lacking = motion.acceleration - rates_of(network, states, motion.inputs)[:, : model.nv]
-        return lacking @ mass, np.zeros_like(lacking)
+        lacking = _missing(network, mass, plant, motion, exact=False)
+        return lacking, np.zeros_like(lacking)
     n = len(motion.time)
     needed, applied = np.empty((n, model.nv)), np.empty((n, model.nv))
     for i in range(n):
@@ -151,6 +155,19 @@ def missing_force(plant: Plant, motion: Motion, *, compiled: bool) -> tuple[np.n
     return needed - applied, applied
 
 
+def _missing(
+    network: Network, mass: np.ndarray, plant: Plant, motion: Motion, *, exact: bool
+) -> np.ndarray:
+    """Return M (qdd - the network's acceleration), (n, nv)."""
+    model = plant.model
+    act = [_steady_activation(model, u) for u in motion.inputs] if model.na else []
+    states = np.hstack(
+        [motion.position, motion.speed, np.array(act).reshape(len(motion.time), model.na)]
+    )
+    rates = rates_of(network, states, motion.inputs, exact=exact)
+    return np.asarray((motion.acceleration - rates[:, : model.nv]) @ mass)
+
+
 def _steady_activation(model: mujoco.MjModel, ctrl: np.ndarray) -> np.ndarray:
     act = np.zeros(model.na)
     for i in range(model.nactuator):
@@ -159,7 +176,16 @@ def _steady_activation(model: mujoco.MjModel, ctrl: np.ndarray) -> np.ndarray:
     return act
 
 
-def balance(
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Solution:
+    """Parameters by force balance with their standard errors (p,), and the motions they come from."""
+
+    theta: np.ndarray
+    std_error: np.ndarray
+    motions: list[Motion]
+
+
+def solve_balance(
     model: Model,
     parameters: Sequence[Parameter],
     experiments: Sequence[Experiment],
@@ -168,7 +194,7 @@ def balance(
     simulator: Simulator | None = None,
     points: int = POINTS,
     theta: np.ndarray | None = None,
-) -> Balance:
+) -> Solution:
     """Estimate parameters by weighted least squares on the force balance.
 
     Parameters
@@ -188,47 +214,96 @@ def balance(
         Instants used per record, at most.
     theta : ndarray (p,), optional
         Start.
-
-    Returns
-    -------
-    Balance
     """
     hold: Hold = simulator.hold if simulator else "zero"
-    compiled = simulator is not None and simulator.compiled
     theta = np.array([p.value for p in parameters]) if theta is None else theta.copy()
     step = min(e.dt for e in experiments)
+    pieces = [piece for e in experiments for piece in _pieces(e)]
+    share = max(points * len(experiments) // len(pieces), FEWEST_POINTS)
     start = model.compile(step)
-    motions = [motion_of(model, e, start, width, hold, points) for e in experiments]
+    motions = [motion_of(model, e, start, width, hold, share) for e in pieces]
+    compiled = simulator is not None and simulator.compiled
+    problem = Problem(model=model, parameters=tuple(parameters), windows=(), sigma=np.zeros(0))
+    family = problem.family(simulator, None) if simulator is not None and compiled else None
 
-    def residual(values: np.ndarray, fast: bool = compiled) -> tuple[np.ndarray, np.ndarray]:
-        named = {p.name: float(v) for p, v in zip(parameters, values, strict=True)}
-        plant = model.with_values(named).compile(step)
-        with run_time_laws([plant]):
-            parts = [missing_force(plant, m, compiled=fast) for m in motions]
-        filtered = [
-            [_low_pass(f, m, 3.0 * width) for f in part]
-            for part, m in zip(parts, motions, strict=True)
-        ]
-        return np.vstack([p[0] for p in filtered]), np.vstack([p[1] for p in filtered])
+    def residual(values: np.ndarray) -> np.ndarray:
+        if family is not None:
+            parts, _ = family.parts_at(values)
+            forces = [_missing(assemble(parts), parts.mass, start, m, exact=True) for m in motions]
+        else:
+            plant = problem.plant(values, step)
+            with run_time_laws([plant]):
+                forces = [missing_force(plant, m, compiled=compiled)[0] for m in motions]
+        return _filtered(forces, motions, width)
 
     std = np.full(len(theta), np.nan)
+    columns = None
     for _ in range(2 if len(theta) else 0):
-        base, _applied = residual(theta)
-        theta, std = _solve(parameters, theta, base, residual)
-    left, applied = residual(theta, fast=False)
+        base = residual(theta)
+        # Where the parts are affine in the parameters, so is the force that is missing.
+        if columns is None or family is None:
+            columns = _columns(parameters, theta, base, residual)
+        theta, std = _solve(parameters, theta, base, columns)
+    return Solution(theta=theta, std_error=std, motions=motions)
+
+
+def balance(
+    model: Model,
+    parameters: Sequence[Parameter],
+    experiments: Sequence[Experiment],
+    width: float,
+    *,
+    simulator: Simulator | None = None,
+    points: int = POINTS,
+    theta: np.ndarray | None = None,
+) -> Balance:
+    """Estimate parameters by force balance, and see what it leaves open; see :func:`solve_balance`."""
+    found = solve_balance(
+        model, parameters, experiments, width, simulator=simulator, points=points, theta=theta
+    )
+    values = {p.name: float(v) for p, v in zip(parameters, found.theta, strict=True)}
+    plant = model.with_values(values).compile(min(e.dt for e in experiments))
+    with run_time_laws([plant]):
+        forces = [missing_force(plant, m, compiled=False) for m in found.motions]
+    left = _filtered([f[0] for f in forces], found.motions, width)
+    applied = _filtered([f[1] for f in forces], found.motions, width)
     size = np.sqrt(np.mean(applied**2, axis=0))
     if not size.any():
-        size = _inertial_size(start, motions)
+        size = _inertial_size(plant, found.motions)
     inertial = np.sqrt(np.mean(left**2, axis=0))
     reference = np.where(size > 1e-9 * size.max(), size, max(size.max(), 1e-300))
     names = [j.name for j in model.structure.joints]
     return Balance(
-        theta=theta,
-        std_error=std,
+        theta=found.theta,
+        std_error=found.std_error,
         residual={n: float(a / b) for n, a, b in zip(names, inertial, reference, strict=True)},
-        motion=_joined(motions),
+        motion=_joined(found.motions),
         force=-left,
         width=width,
+    )
+
+
+def _pieces(experiment: Experiment) -> list[Experiment]:
+    """Return the record, or some stretches evenly spread over a long one."""
+    n = experiment.samples
+    if n <= LONGEST:
+        return [experiment]
+    length = LONGEST // PIECES
+    firsts = np.linspace(0, n - length, PIECES).astype(int)
+    return [
+        replace(
+            experiment,
+            time=experiment.time[k : k + length],
+            inputs=experiment.inputs[k : k + length],
+            outputs=experiment.outputs[k : k + length],
+        )
+        for k in firsts
+    ]
+
+
+def _filtered(forces: Sequence[np.ndarray], motions: Sequence[Motion], width: float) -> np.ndarray:
+    return np.vstack(
+        [_low_pass(f, m, 3.0 * width) for f, m in zip(forces, motions, strict=True)]
     )
 
 
@@ -261,20 +336,23 @@ def _joined(motions: Sequence[Motion]) -> Motion:
     )
 
 
-def _solve(
+def _columns(
     parameters: Sequence[Parameter],
     theta: np.ndarray,
     base: np.ndarray,
-    residual: object,
-) -> tuple[np.ndarray, np.ndarray]:
+    residual: Callable[[np.ndarray], np.ndarray],
+) -> np.ndarray:
+    """Return the change of the missing force per change of each parameter, (n, nv, p)."""
     steps = 1e2 * parameter_steps(parameters, theta)
-    columns = np.stack(
-        [
-            (residual(theta + s * np.eye(len(theta))[k])[0] - base) / s  # type: ignore[operator]
-            for k, s in enumerate(steps)
-        ],
+    return np.stack(
+        [(residual(theta + s * np.eye(len(theta))[k]) - base) / s for k, s in enumerate(steps)],
         axis=2,
     )
+
+
+def _solve(
+    parameters: Sequence[Parameter], theta: np.ndarray, base: np.ndarray, columns: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     weight = 1.0 / np.maximum(base.std(axis=0), 1e-12 * max(base.std(), 1e-300))
     rows = (columns * weight[None, :, None]).reshape(-1, len(theta))
     target = -(base * weight).ravel()

@@ -67,13 +67,16 @@ def columns_of(
     sizes[[nx + k for k in mirrored]] *= 2.0
     for block, runs in blocks_of(problem, thetas, [*moved, *[states] * (len(thetas) - nx)]):
         base = residuals[block.experiment][block.windows, block.samples]
-        found = np.empty((len(base), base[0].size, nx + p + 1))
+        # Columns are filled one after the other; LAPACK wants them so as well.
+        found = np.empty((len(base), nx + p + 1, base[0].size)).transpose(0, 2, 1)
         found[:, :, nx + p] = base.reshape(len(base), -1)
         for k in range(nx + p):
-            found[:, :, k] = ((base - runs[k]) / sizes[k]).reshape(len(base), -1)
+            np.subtract(base, runs[k], out=runs[k])
+            np.divide(runs[k].reshape(len(base), -1), sizes[k], out=found[:, :, k])
         for i, k in enumerate(mirrored):
-            pair = (runs[nx + p + i] - runs[nx + k]) / sizes[nx + k]
-            found[:, :, nx + k] = pair.reshape(len(base), -1)
+            pair = runs[nx + p + i] - base
+            pair += runs[nx + k]
+            np.divide(pair.reshape(len(base), -1), sizes[nx + k], out=found[:, :, nx + k])
         if not np.isfinite(found).all():
             raise DivergedError(
                 f"The simulation of {problem.model.name} diverges a hair's breadth from where it does "

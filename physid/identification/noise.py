@@ -6,11 +6,18 @@ from collections.abc import Sequence
 from math import comb
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from physid.identification.experiment import Experiment
 
 ORDERS = (5, 8)
 """Orders of the differences that remove a smooth signal."""
+LAGS = 24
+"""Past samples of each signal in the autoregression."""
+ROWS = 20000
+"""Instants predicted, at most."""
+TOLD = 1e-13
+"""Eigenvalue of the regressors' inner products, relative to the largest, that rounding leaves."""
 
 
 def noise_level(experiments: Sequence[Experiment]) -> np.ndarray:
@@ -44,23 +51,29 @@ def _by_differences(y: np.ndarray) -> np.ndarray:
     return np.min(found, axis=0) if found else np.full(y.shape[1], np.inf)
 
 
-def _by_prediction(experiment: Experiment, order: int = 24) -> np.ndarray:
+def _by_prediction(experiment: Experiment) -> np.ndarray:
+    """Return the one-step error of an autoregression with inputs, from at most :data:`ROWS` instants."""
     y, u = experiment.outputs, experiment.inputs
     n = len(y)
-    if n < 12 * order * (1 + u.shape[1]):
+    if n < 12 * LAGS * (1 + u.shape[1]):
         return np.full(y.shape[1], np.inf)
+    rows = slice(None, -1, max(1, n // ROWS))
     found = []
     for k in range(y.shape[1]):
-        signals = [y[:, k], *u.T]
-        past = [s[order - lag - 1 : n - lag - 1] for s in signals for lag in range(order)]
-        regressors = np.column_stack([*past, np.ones(n - order)])
-        target = y[order:, k]
+        past = [sliding_window_view(s, LAGS)[rows] for s in (y[:, k], *u.T)]
+        target = y[LAGS:, k][:: rows.step][: len(past[0])]
+        regressors = np.column_stack([*past, np.ones(len(target))])
         scale = np.maximum(np.abs(regressors).max(axis=0), 1e-300)
-        solution = np.linalg.lstsq(regressors / scale, target, rcond=1e-10)[0]
-        error = target - regressors / scale @ solution
+        regressors /= scale
+        values, vectors = np.linalg.eigh(regressors.T @ regressors)
+        kept = values > TOLD * values[-1]
+        weights = vectors[:, kept] @ (
+            (vectors[:, kept].T @ (regressors.T @ target)) / values[kept]
+        )
+        error = target - regressors @ weights
         # Prediction from noisy samples carries their noise too: sigma^2 (1 + |a|^2) at most.
-        weights = (solution / scale)[:order]
-        found.append(np.sqrt(np.mean(error**2) / (1.0 + float(weights @ weights))))
+        own = (weights / scale)[:LAGS]
+        found.append(np.sqrt(np.mean(error**2) / (1.0 + float(own @ own))))
     return np.array(found)
 
 

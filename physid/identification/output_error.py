@@ -21,6 +21,8 @@ HUGE = 1e100
 """Larger parameters no longer change the size of a step: their squares would overflow."""
 FARTHEST = 5.0
 """Longest step of a parameter in multiples of its size."""
+LEAST_SHARE = 0.01
+"""Least share of a step's gain that the next one is expected to gain."""
 SHARES = (1.0, 1.0, 0.4, 0.15, 0.05, 0.015, 0.004)
 """Shares of a step that are tried in turn; the damping grows while they are 1."""
 
@@ -32,6 +34,7 @@ def minimise(
     *,
     iterations: int = 30,
     tolerance: float = 1e-4,
+    enough: float = 0.0,
 ) -> Estimate:
     """Fit parameters and initial states.
 
@@ -46,6 +49,8 @@ def minimise(
         At most so many linearisations.
     tolerance : float
         Stop when the predicted fall of chi2 is below this share of it.
+    enough : float
+        Stop at a chi2 below this.
 
     Returns
     -------
@@ -62,7 +67,7 @@ def minimise(
     chi2 = _chi2(problem, theta, residuals)
     if not np.isfinite(chi2):
         raise DivergedError(divergence_sentence(problem, residuals))
-    damping, done = 1e-4, False
+    damping, done, fall = 1e-4, False, 0.0
     limits = [p.lower for p in problem.parameters], [p.upper for p in problem.parameters]
     iteration = 0
     while iteration < iterations and not done:
@@ -88,10 +93,12 @@ def minimise(
         if not accepted:
             done = True
             break
-        fall = chi2 - value
+        before, fall = fall, chi2 - value
         theta, states, residuals, chi2 = target, moved, tried, value
         damping = max(damping * (0.1 if fall > 0.5 * predicted else 1.0), 1e-9)
-        done = fall < tolerance * chi2
+        # Near the minimum each step gains a like share of what the one before it gained.
+        expected = fall * min(max(fall / before, LEAST_SHARE), 1.0) if before > 0.0 else fall
+        done = expected < tolerance * chi2 or chi2 < enough
     return Estimate(
         theta=theta,
         states=states,

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
+import numba
 import numpy as np
 from scipy.signal import lfilter
 
@@ -55,8 +56,10 @@ class Problem:
         values = {p.name: float(v) for p, v in zip(self.parameters, theta, strict=True)}
         return self.model.with_values(values)
 
-    def family(self, simulator: Simulator, thetas: Sequence[np.ndarray]) -> Family | None:
-        """Return the family of the model's plants, once several are wanted; None without one.
+    def family(
+        self, simulator: Simulator, thetas: Sequence[np.ndarray] | None = None
+    ) -> Family | None:
+        """Return the family of the model's plants, if so many are wanted; None without one.
 
         It is kept with what else was computed from the MJCF, for all problems that share it.
         """
@@ -66,11 +69,12 @@ class Problem:
         known: dict[object, Family | None] = self.model.derived.setdefault("families", {})
         key = (simulator.step, free, self.model.fixed_values(free))
         if key not in known:
-            if len({t.tobytes() for t in thetas}) <= MANY:
+            if thetas is not None and len({t.tobytes() for t in thetas}) <= MANY:
                 return None
             if len(known) >= MOST_FAMILIES:
                 known.pop(next(iter(known)))
-            known[key] = family_of(self.model, self.parameters, thetas[0], simulator.step)
+            at = thetas[0] if thetas else self.start()
+            known[key] = family_of(self.model, self.parameters, at, simulator.step)
         return known[key]
 
     def with_windows(self, windows: Sequence[Windows]) -> Problem:
@@ -186,17 +190,27 @@ def blocks_of(
                 more = 1 if end < windows.samples else 0
                 runs = simulator.run(row, x, controls, starts, end - begin + more)
                 index = starts[:, None] + np.arange(end - begin)
-                measured = experiment.outputs[index] / problem.sigma
+                measured = experiment.outputs[index]
                 yield (
                     Block(e, chosen, slice(begin, end)),
                     [
-                        measured
-                        - run.outputs[:, : end - begin, experiment.channels] / problem.sigma
+                        _weighted(measured, run.outputs, experiment.channels, problem.sigma)
                         for run in runs
                     ],
                 )
                 if more:
                     x = [run.states[:, -1].copy() for run in runs]
+
+
+@numba.njit(cache=True, nogil=True)
+def _weighted(measured, simulated, channels, sigma):  # type: ignore[no-untyped-def]
+    """Return (measured - simulated) / sigma of the measured channels, (w, samples, ny)."""
+    found = np.empty(measured.shape)
+    for w in range(found.shape[0]):
+        for k in range(found.shape[1]):
+            for j in range(found.shape[2]):
+                found[w, k, j] = (measured[w, k, j] - simulated[w, k, channels[j]]) / sigma[j]
+    return found
 
 
 def continues(plant: Plant, simulator: Simulator) -> bool:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 
 from physid.errors import ConvergenceError, DivergedError, ModelError
-from physid.identification.force_balance import balance, observable, widths
+from physid.identification.force_balance import observable, solve_balance, widths
 from physid.identification.output_error import minimise
 from physid.identification.problem import Estimate, Problem
 from physid.identification.windows import Span, Windows, cut, typical_period, whole
@@ -21,6 +22,12 @@ LEAST_BEGINNING = 200
 """Samples below which the beginning of a window is not fitted by itself."""
 ENOUGH = 5000
 """Samples used while a start is looked for."""
+SETTLED = 1.5
+"""A start whose mean squares on long windows are below this, relative to the noise's, is near enough."""
+NEAR = 3e3
+"""... from below which, times that, a few steps are worth trying at once."""
+POLISH = 4
+"""Those steps."""
 Progress = Callable[[str, float], None]
 Spans = Callable[[int], Sequence[Span]]
 
@@ -67,29 +74,42 @@ def on_whole_records(problem: Problem) -> Problem:
 def starting_point(problem: Problem, extra: Sequence[np.ndarray] = ()) -> np.ndarray:
     """Find parameter values near the minimum on long windows.
 
-    Candidates: the given values, the force balance at several widths (where every joint is seen), and
-    a fit of short windows, and any ``extra``; each is judged on long windows.
+    Candidates: the force balance at several widths (where every joint is seen), the given values, any
+    ``extra``, and a fit of short windows; each is judged on long windows.  The first from which a few
+    steps on long windows leave hardly more than noise is taken at once.
 
     Raises
     ------
     DivergedError
         If the simulation diverges from every one of them.
     """
-    long = thinned(windowed(problem, LONG), ENOUGH)
     if not problem.parameters:
         return problem.start()
-    found = [problem.start(), *extra, *_from_force_balance(problem)]
-    costs = [_cost(long, theta) for theta in found]
-    best = found[int(np.argmin(costs))]
-    if not np.isfinite(min(costs)):
-        best = problem.start()
+    long = thinned(windowed(problem, LONG), ENOUGH)
+    states, settled = long.states(), SETTLED * long.measurements()
+    found, costs = [], []
+    for theta in chain(_from_force_balance(problem), [problem.start(), *extra]):
+        found.append(theta)
+        costs.append(_cost(long, theta, states))
+        if costs[-1] < NEAR * settled and costs[-1] == min(costs):
+            near = minimise(
+                long, theta, states, iterations=POLISH, tolerance=1e-3, enough=settled
+            )
+            found.append(near.theta)
+            costs.append(near.chi2)
+        if costs[-1] < settled:
+            return found[-1]
+    best = found[int(np.argmin(costs))] if np.isfinite(min(costs)) else problem.start()
     short = thinned(windowed(problem, SHORT), ENOUGH)
     for start in _distinct([best, problem.start()]):
         try:
-            found.append(minimise(short, start, iterations=12, tolerance=1e-3).theta)
+            theta = minimise(short, start, iterations=12, tolerance=1e-3).theta
         except DivergedError:
             continue
-    costs = [_cost(long, theta) for theta in found]
+        found.append(theta)
+        costs.append(_cost(long, theta, states))
+        if costs[-1] < settled:
+            break
     return found[int(np.argmin(costs))]
 
 
@@ -97,26 +117,31 @@ def _distinct(points: Sequence[np.ndarray]) -> list[np.ndarray]:
     return [p for k, p in enumerate(points) if not any(np.array_equal(p, o) for o in points[:k])]
 
 
-def _from_force_balance(problem: Problem) -> list[np.ndarray]:
+def _from_force_balance(problem: Problem) -> Iterator[np.ndarray]:
+    """Yield the estimates of the force balance, those of the middling widths first."""
     experiments = [w.experiment for w in problem.windows]
     if not all(observable(problem.model, e) for e in experiments):
-        return []
-    found = []
+        return
     simulator = problem.windows[0].simulator
-    model, parameters = problem.model, problem.parameters
-    for width in widths(experiments):
+    tried = widths(experiments)
+    for k in np.argsort(np.abs(np.arange(len(tried)) - len(tried) // 2), kind="stable"):
         try:
-            found.append(balance(model, parameters, experiments, width, simulator=simulator).theta)
+            yield solve_balance(
+                problem.model,
+                problem.parameters,
+                experiments,
+                float(tried[k]),
+                simulator=simulator,
+            ).theta
         except (np.linalg.LinAlgError, ValueError, ModelError):
             continue
-    return found
 
 
-def _cost(problem: Problem, theta: np.ndarray) -> float:
+def _cost(problem: Problem, theta: np.ndarray, states: list[np.ndarray]) -> float:
     """Cost on windows with the initial states at their best for one linear step."""
     try:
         fixed = _frozen(problem, theta)
-        return minimise(fixed, np.zeros(0), iterations=2, tolerance=1e-2).chi2
+        return minimise(fixed, np.zeros(0), states, iterations=1).chi2
     except (DivergedError, ModelError):
         return float("inf")
 

@@ -291,6 +291,10 @@ def choose_hold(problem: Problem, theta: np.ndarray) -> tuple[Problem, np.ndarra
     total = sum(max(w.experiment.inputs[1:].size, 1) for w in problem.windows)
     if not problem.model.structure.inputs or held > 0.5 * total:
         return problem, theta, ""
+    noise = thinned(windowed(problem, LONG), ENOUGH)
+    if CLEARLY * states_only(replace(noise, model=problem.at(theta))).chi2 < noise.measurements():
+        # Noise alone would leave more than is asked of another kind of hold.
+        return problem, theta, ""
     tried = {}
     for hold in ("zero", "first", "smooth"):
         other = with_hold(problem, hold)

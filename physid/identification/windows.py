@@ -15,8 +15,6 @@ import numpy as np
 from physid.identification.experiment import (
     Experiment,
     kinematics_of,
-    period_of,
-    smooth_derivatives,
 )
 from physid.plant.model import Model
 from physid.plant.simulation import Simulator
@@ -98,7 +96,7 @@ def cut(
 
 def typical_period(experiments: Sequence[Experiment]) -> float:
     """Return the typical period of motion over some records [s]."""
-    return float(np.median([period_of(e) for e in experiments]))
+    return float(np.median([e.period for e in experiments]))
 
 
 def initial_states(model: Model, windows: Windows) -> np.ndarray:
@@ -114,7 +112,7 @@ def initial_states(model: Model, windows: Windows) -> np.ndarray:
     experiment, structure, compiled = windows.experiment, model.structure, model.nominal
     kin = kinematics_of(model, experiment.channels)
     width = max(3, min(15, windows.samples // 4))
-    y, rate = smooth_derivatives(experiment.outputs, experiment.dt, width)
+    y, rate = experiment.smoothed(width)
     links = [tendon_row(compiled, i) for i in range(compiled.ntendon)]
     stiff = [
         row for i, row in enumerate(links) if row is not None and compiled.tendon_stiffness[i] > 0

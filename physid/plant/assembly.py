@@ -169,13 +169,17 @@ def agrees(
     return worst <= 1e-9 * largest
 
 
-def rates_of(network: Network, states: np.ndarray, inputs: np.ndarray) -> np.ndarray:
-    """Return d(v, act)/dt of a network at some states and inputs, as the engine has it.
+def rates_of(
+    network: Network, states: np.ndarray, inputs: np.ndarray, *, exact: bool = False
+) -> np.ndarray:
+    """Return d(v, act)/dt of a network at some states and inputs.
 
     Parameters
     ----------
     states : ndarray (k, n)
     inputs : ndarray (k, nu)
+    exact : bool
+        With Coulomb's law itself rather than the engine's friction.
 
     Returns
     -------
@@ -184,7 +188,7 @@ def rates_of(network: Network, states: np.ndarray, inputs: np.ndarray) -> np.nda
     rates = np.empty((len(states), 1, len(network.linear)))
     initial, u = np.ascontiguousarray(states), np.ascontiguousarray(inputs)
     rows = np.arange(len(states), dtype=np.int64)
-    integrate(network, False, initial, u, rows, 1, 1, 1e-6, np.empty_like(initial)[:, None], rates)
+    integrate(network, exact, initial, u, rows, 1, 1, 1e-6, np.empty_like(initial)[:, None], rates)
     return np.asarray(rates[:, 0])
 
 

@@ -28,6 +28,10 @@ ENGINE_ONLY = ("law_constants",)
 """Parts that only the engine uses, as it uses columns 1 and 2 of ``friction`` alone."""
 
 
+BOUNDED = ("limits", "springs", "actuators", "law_edges")
+"""Parts with numbers that are infinite where there is no bound."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Family:
     """Plants of a model as some parameters vary: parts = base + slopes (theta - at).
@@ -55,10 +59,15 @@ class Family:
     base: np.ndarray
     slopes: np.ndarray
 
+    def parts_at(self, theta: np.ndarray) -> tuple[Parts, np.ndarray]:
+        """Return the parts at parameter values theta (p,), and the delays of the inputs (nu,)."""
+        numbers = self.base + self.slopes @ (theta - self.at)
+        first = len(numbers) - len(self.reference.delays)
+        return _with_numbers(self.parts, numbers), np.maximum(numbers[first:], 0.0)
+
     def plant(self, theta: np.ndarray) -> Plant:
         """Return the plant at parameter values theta (p,)."""
-        numbers = self.base + self.slopes @ (theta - self.at)
-        parts = _with_numbers(self.parts, numbers)
+        parts, delays = self.parts_at(theta)
         values = dict(zip(self.names, map(float, theta), strict=True))
         conditioners = self.reference.conditioners
         if any("@" in name for name in values) and conditioners:
@@ -68,7 +77,7 @@ class Family:
             )
         return replace(
             self.reference,
-            delays=np.maximum(numbers[len(numbers) - len(self.reference.delays) :], 0.0),
+            delays=delays,
             conditioners=conditioners,
             network=assemble(parts),
             time_constants=parts.actuators[:, 13],
@@ -161,10 +170,10 @@ def _with_numbers(parts: Parts, numbers: np.ndarray) -> Parts:
     found, first = {}, 0
     for name in _varying(parts):
         array = getattr(parts, name)
-        new = numbers[first : first + array.size].reshape(array.shape)
-        finite = np.isfinite(array)
-        found[name] = new if finite.all() else np.where(finite, new, array)
-        first += array.size
+        if array.size:
+            new = numbers[first : first + array.size].reshape(array.shape)
+            found[name] = new if name not in BOUNDED else np.where(np.isfinite(array), new, array)
+            first += array.size
     return parts._replace(**found)
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import mujoco
+import numba
 import numpy as np
 from scipy.interpolate import CubicSpline
 
@@ -213,16 +214,28 @@ class Simulator:
                 one(k)
         if any(_leaves_limits(plant.model, x) for plant, x in zip(plants, states, strict=True)):
             return None
-        return [Rollout(self._outputs(x, a), x) for x, a in zip(states, rates, strict=True)]
+        return [
+            Rollout(_observed(x, a, self.sensor_map, nv), x)
+            for x, a in zip(states, rates, strict=True)
+        ]
 
-    def _outputs(self, states: np.ndarray, rates: np.ndarray) -> np.ndarray:
-        nv = self.structure.nv
-        assert self.sensor_map is not None
-        outputs = states[:, :, : 2 * nv] @ self.sensor_map[:, 1 : 1 + 2 * nv].T
-        outputs += self.sensor_map[:, 0]
-        if rates.size:
-            outputs += rates[:, :, :nv] @ self.sensor_map[:, 1 + 2 * nv :].T
-        return np.asarray(outputs)
+
+@numba.njit(cache=True, nogil=True)
+def _observed(states, rates, sensor_map, nv):  # type: ignore[no-untyped-def]
+    """Return linear sensors' readings (w, samples, channels) of states and, if there are any, rates."""
+    known = 1 + 2 * nv
+    found = np.empty((*states.shape[:2], sensor_map.shape[0]))
+    for w in range(found.shape[0]):
+        for k in range(found.shape[1]):
+            for c in range(found.shape[2]):
+                value = sensor_map[c, 0]
+                for j in range(2 * nv):
+                    value += sensor_map[c, 1 + j] * states[w, k, j]
+                if rates.shape[0]:
+                    for j in range(nv):
+                        value += sensor_map[c, known + j] * rates[w, k, j]
+                found[w, k, c] = value
+    return found
 
 
 def networks_of(plants: Sequence[Plant], *, exact: bool) -> list[Network] | None:
