@@ -65,6 +65,11 @@ def fit_study(study: Study, *, from_windows: bool = True) -> Fitted:
     from_windows : bool
         Fit long windows first.
     """
+    return confirmed(*estimated(study, from_windows=from_windows))
+
+
+def estimated(study: Study, *, from_windows: bool = True) -> tuple[Problem, Estimate, float]:
+    """Return the problem on whole records, its minimum, and the integration error over the noise's."""
     problem = on_whole_records(study.problem)
     if not problem.parameters:
         estimate = _frozen(problem)
@@ -81,7 +86,7 @@ def fit_study(study: Study, *, from_windows: bool = True) -> Fitted:
     )
     if problem.windows[0].simulator.substeps != study.simulator.substeps:
         estimate = _again(problem, estimate)
-    return confirmed(problem, estimate, error)
+    return problem, estimate, error
 
 
 def _from_windows(study: Study) -> Estimate:

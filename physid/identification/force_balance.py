@@ -302,9 +302,7 @@ def _pieces(experiment: Experiment) -> list[Experiment]:
 
 
 def _filtered(forces: Sequence[np.ndarray], motions: Sequence[Motion], width: float) -> np.ndarray:
-    return np.vstack(
-        [_low_pass(f, m, 3.0 * width) for f, m in zip(forces, motions, strict=True)]
-    )
+    return np.vstack([_low_pass(f, m, 3.0 * width) for f, m in zip(forces, motions, strict=True)])
 
 
 def _low_pass(force: np.ndarray, motion: Motion, width: float) -> np.ndarray:

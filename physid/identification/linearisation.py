@@ -8,12 +8,12 @@ only the triangular factor of all of them (QR by blocks of rows: Golub, Van Loan
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from physid.errors import DivergedError
-from physid.identification.problem import Block, Problem, blocks_of
+from physid.identification.problem import MOST_AT_ONCE, Block, Problem, blocks_of
 from physid.identification.windows import state_indices
 from physid.plant.model import Model
 from physid.plant.parameter import Parameter
@@ -56,9 +56,7 @@ def columns_of(
     steps = parameter_steps(problem.parameters, theta)
     scales = state_scales(problem.model, states)
     p, nx = len(theta), len(free)
-    moved = [
-        [_shifted(x, index, STEP * scales[i]) for x in states] for i, index in enumerate(free)
-    ]
+    moved = [[_shifted(x, index, STEP * scales[i]) for x in states] for i, index in enumerate(free)]
     ahead = [theta + step * np.eye(p)[k] for k, step in enumerate(steps)]
     mirrored = _mirrored(problem.parameters, theta, steps) if central else []
     behind = [theta - steps[k] * np.eye(p)[k] for k in mirrored]
@@ -92,7 +90,8 @@ class Reduced:
     ``columns`` (k, p) and ``residual`` (k,), k = w (nx + p + 1) or so, have the inner products of the
     parameters' columns and of the residual with the initial states projected out.  ``solvers``
     (w, nx, nx), ``states`` (w, nx, p) and ``targets`` (w, nx), per experiment, give the windows' best
-    initial states; ``squares`` is the residual's sum of squares before them.
+    initial states; ``squares`` is the residual's sum of squares before them.  ``rows``, the columns
+    themselves (w, m, nx + p) per experiment, are kept of short records alone; see :meth:`at`.
     """
 
     columns: np.ndarray
@@ -101,19 +100,30 @@ class Reduced:
     states: list[np.ndarray]
     targets: list[np.ndarray]
     squares: float
+    rows: list[np.ndarray] = field(default_factory=list)
 
     @property
     def fall(self) -> float:
         """Fall of the squares when the initial states alone take their best values."""
         return max(self.squares - float(self.residual @ self.residual), 0.0)
 
+    def at(self, residuals: list[np.ndarray]) -> Reduced:
+        """Return the same columns beside another residual, (w, samples, ny) per experiment.
+
+        Near a minimum the columns hardly change, and they are what a linearisation costs.
+        """
+        factors = []
+        for rows, residual in zip(self.rows, residuals, strict=True):
+            flat = residual.reshape(len(rows), -1, 1)
+            factors.append(np.linalg.qr(np.concatenate([rows, flat], axis=2), mode="r"))
+        found = _without_states(factors, self.solvers[0].shape[1], residuals)
+        return replace(found, rows=self.rows)
+
     def state_steps(self, change: np.ndarray) -> list[np.ndarray]:
         """Return the change of every window's free state (w, nx) for a parameter change (p,)."""
         return [
             np.einsum("wij,wj->wi", solver, target - columns @ change)
-            for solver, columns, target in zip(
-                self.solvers, self.states, self.targets, strict=True
-            )
+            for solver, columns, target in zip(self.solvers, self.states, self.targets, strict=True)
         ]
 
 
@@ -136,14 +146,18 @@ def reduced(
     """Reduce columns, a stretch of windows at a time and in order, to their triangular factors."""
     done: list[list[np.ndarray]] = [[] for _ in problem.windows]
     factor = np.zeros((0, 0, 0))
+    whole = all(len(w.starts) * w.samples <= MOST_AT_ONCE for w in problem.windows)
+    kept = []
     for block, columns in blocks:
+        if whole:
+            kept.append(columns[:, :, :-1])
         rows = np.concatenate([factor, columns], axis=1) if block.samples.start else columns
         factor = np.linalg.qr(rows, mode="r")
         if block.samples.stop == problem.windows[block.experiment].samples:
             done[block.experiment].append(factor)
-    return _without_states(
-        [np.concatenate(f) for f in done], len(state_indices(problem.model)), residuals
-    )
+    nx = len(state_indices(problem.model))
+    found = _without_states([np.concatenate(f) for f in done], nx, residuals)
+    return replace(found, rows=kept) if whole else found
 
 
 def _without_states(factors: list[np.ndarray], nx: int, residuals: list[np.ndarray]) -> Reduced:

@@ -67,9 +67,7 @@ def _by_prediction(experiment: Experiment) -> np.ndarray:
         regressors /= scale
         values, vectors = np.linalg.eigh(regressors.T @ regressors)
         kept = values > TOLD * values[-1]
-        weights = vectors[:, kept] @ (
-            (vectors[:, kept].T @ (regressors.T @ target)) / values[kept]
-        )
+        weights = vectors[:, kept] @ ((vectors[:, kept].T @ (regressors.T @ target)) / values[kept])
         error = target - regressors @ weights
         # Prediction from noisy samples carries their noise too: sigma^2 (1 + |a|^2) at most.
         own = (weights / scale)[:LAGS]

@@ -23,6 +23,12 @@ FARTHEST = 5.0
 """Longest step of a parameter in multiples of its size."""
 LEAST_SHARE = 0.01
 """Least share of a step's gain that the next one is expected to gain."""
+SHORT_STEP = 0.02
+"""Longest step, as a share of the parameters' sizes, after which the columns may serve again."""
+SERVES = 0.7
+"""Least share of the predicted fall that such a step must bring (Kelley, Iterative Methods, 1995, 5.4)."""
+LOOSE = 1e-4
+"""Tolerance from which a fit may end on columns of the point before."""
 SHARES = (1.0, 1.0, 0.4, 0.15, 0.05, 0.015, 0.004)
 """Shares of a step that are tried in turn; the damping grows while they are 1."""
 
@@ -67,12 +73,14 @@ def minimise(
     chi2 = _chi2(problem, theta, residuals)
     if not np.isfinite(chi2):
         raise DivergedError(divergence_sentence(problem, residuals))
-    damping, done, fall = 1e-4, False, 0.0
+    damping, done, fall = 1e-6, False, 0.0
     limits = [p.lower for p in problem.parameters], [p.upper for p in problem.parameters]
     iteration = 0
+    point: Reduced | None = None
     while iteration < iterations and not done:
         iteration += 1
-        point = reduce(problem, theta, states, residuals)
+        fresh = point is None
+        point = reduce(problem, theta, states, residuals) if point is None else point.at(residuals)
         accepted = False
         for share in SHARES:
             change, predicted = _step(problem, point, theta, damping)
@@ -87,18 +95,25 @@ def minimise(
             if np.isfinite(value) and value < chi2:
                 accepted = True
                 break
-            if predicted < tolerance * chi2:
+            if predicted < tolerance * chi2 or not fresh:
                 break
             damping = max(10 * damping, 1e-3) if share == 1.0 else damping
         if not accepted:
-            done = True
-            break
+            done, point = fresh, None
+            continue
         before, fall = fall, chi2 - value
+        # Columns serve again while a full step is short and does what it promised.
+        short = np.all(np.abs(target - theta) <= SHORT_STEP * _sizes(problem, theta))
+        serves = share == 1.0 and short and bool(point.rows) and fall > SERVES * predicted
+        point = point if serves else None
         theta, states, residuals, chi2 = target, moved, tried, value
         damping = max(damping * (0.1 if fall > 0.5 * predicted else 1.0), 1e-9)
         # Near the minimum each step gains a like share of what the one before it gained.
         expected = fall * min(max(fall / before, LEAST_SHARE), 1.0) if before > 0.0 else fall
         done = expected < tolerance * chi2 or chi2 < enough
+        if done and not fresh and tolerance < LOOSE:
+            # Old columns end where they, not those of the minimum, are orthogonal to the residual.
+            done, point = False, None
     return Estimate(
         theta=theta,
         states=states,
@@ -107,6 +122,12 @@ def minimise(
         iterations=iteration,
         converged=done,
     )
+
+
+def _sizes(problem: Problem, theta: np.ndarray) -> np.ndarray:
+    """Return the sizes of parameters (p,) in which steps are measured."""
+    sizes = [max(abs(t), p.scale) for p, t in zip(problem.parameters, theta, strict=True)]
+    return np.minimum(np.array(sizes), HUGE)
 
 
 def _moved(model: Model, states: np.ndarray, shift: np.ndarray) -> np.ndarray:
@@ -130,8 +151,7 @@ def _step(
     if not len(theta):
         return np.zeros(0), point.fall
     hessian, descent = normal_equations(problem, point, theta)
-    sizes = np.array([max(abs(t), p.scale) for p, t in zip(problem.parameters, theta, strict=True)])
-    sizes = np.minimum(sizes, HUGE)
+    sizes = _sizes(problem, theta)
     weights = np.diag(hessian) * sizes**2
     scale = np.sqrt(np.maximum(weights, 1e-20 * max(weights.max(), 1e-300))) / sizes
     scaled = hessian / np.outer(scale, scale)

@@ -10,8 +10,9 @@ import numpy as np
 
 from physid.errors import ConvergenceError, DivergedError, ModelError
 from physid.identification.force_balance import observable, solve_balance, widths
+from physid.identification.linearisation import Reduced, reduce
 from physid.identification.output_error import minimise
-from physid.identification.problem import Estimate, Problem
+from physid.identification.problem import Estimate, Problem, residuals_of
 from physid.identification.windows import Span, Windows, cut, typical_period, whole
 
 SHORT, LONG = 0.3, 1.5
@@ -24,10 +25,11 @@ ENOUGH = 5000
 """Samples used while a start is looked for."""
 SETTLED = 1.5
 """A start whose mean squares on long windows are below this, relative to the noise's, is near enough."""
-NEAR = 3e3
-"""... from below which, times that, a few steps are worth trying at once."""
-POLISH = 4
-"""Those steps."""
+NEAR, FAR = 30.0, 3e3
+"""A few steps are tried at once from a start below the first, times that, and from the best below the
+second."""
+POLISH = 5
+"""Those steps, at most."""
 Progress = Callable[[str, float], None]
 Spans = Callable[[int], Sequence[Span]]
 
@@ -87,30 +89,72 @@ def starting_point(problem: Problem, extra: Sequence[np.ndarray] = ()) -> np.nda
         return problem.start()
     long = thinned(windowed(problem, LONG), ENOUGH)
     states, settled = long.states(), SETTLED * long.measurements()
-    found, costs = [], []
+    judge = _Judge(long, states)
+    found: list[np.ndarray] = []
     for theta in chain(_from_force_balance(problem), [problem.start(), *extra]):
         found.append(theta)
-        costs.append(_cost(long, theta, states))
-        if costs[-1] < NEAR * settled and costs[-1] == min(costs):
-            near = minimise(
-                long, theta, states, iterations=POLISH, tolerance=1e-3, enough=settled
-            )
-            found.append(near.theta)
-            costs.append(near.chi2)
-        if costs[-1] < settled:
-            return found[-1]
+        if judge.roughly(theta) < NEAR * settled:
+            near = judge.polished(theta, settled)
+            if near is not None and near.chi2 < settled:
+                return near.theta
+            found += [near.theta] if near is not None else []
+    costs = [judge.cost(theta) for theta in found]
     best = found[int(np.argmin(costs))] if np.isfinite(min(costs)) else problem.start()
+    if min(costs) < FAR * settled:
+        near = judge.polished(best, settled)
+        if near is not None and near.chi2 < settled:
+            return near.theta
     short = thinned(windowed(problem, SHORT), ENOUGH)
     for start in _distinct([best, problem.start()]):
         try:
-            theta = minimise(short, start, iterations=12, tolerance=1e-3).theta
+            found.append(minimise(short, start, iterations=12, tolerance=1e-3).theta)
         except DivergedError:
             continue
-        found.append(theta)
-        costs.append(_cost(long, theta, states))
+        costs.append(judge.cost(found[-1]))
         if costs[-1] < settled:
             break
     return found[int(np.argmin(costs))]
+
+
+class _Judge:
+    """Judges parameter values on windows, every window from its best initial state."""
+
+    def __init__(self, problem: Problem, states: list[np.ndarray]) -> None:
+        self.problem, self.states = problem, states
+        self.ground: Reduced | None = None
+
+    def roughly(self, theta: np.ndarray) -> float:
+        """Return the cost by one simulation; what states do is taken from the first values asked."""
+        try:
+            residuals = residuals_of(self.problem, [theta], [self.states])[0]
+            if not all(np.isfinite(r).all() for r in residuals):
+                return float("inf")
+            if self.ground is None or not self.ground.rows:
+                fixed = _frozen(self.problem, theta)
+                self.ground = reduce(fixed, np.zeros(0), self.states, residuals)
+                left = self.ground.residual
+            else:
+                left = self.ground.at(residuals).residual
+        except (DivergedError, ModelError):
+            return float("inf")
+        return float(left @ left)
+
+    def cost(self, theta: np.ndarray) -> float:
+        """Return the cost with the initial states at their best for one linear step from here."""
+        try:
+            fixed = _frozen(self.problem, theta)
+            return minimise(fixed, np.zeros(0), self.states, iterations=1).chi2
+        except (DivergedError, ModelError):
+            return float("inf")
+
+    def polished(self, theta: np.ndarray, enough: float) -> Estimate | None:
+        """Return the fit a few steps from here, or None where it diverges."""
+        try:
+            return minimise(
+                self.problem, theta, self.states, iterations=POLISH, tolerance=1e-3, enough=enough
+            )
+        except (DivergedError, ModelError):
+            return None
 
 
 def _distinct(points: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -135,15 +179,6 @@ def _from_force_balance(problem: Problem) -> Iterator[np.ndarray]:
             ).theta
         except (np.linalg.LinAlgError, ValueError, ModelError):
             continue
-
-
-def _cost(problem: Problem, theta: np.ndarray, states: list[np.ndarray]) -> float:
-    """Cost on windows with the initial states at their best for one linear step."""
-    try:
-        fixed = _frozen(problem, theta)
-        return minimise(fixed, np.zeros(0), states, iterations=1).chi2
-    except (DivergedError, ModelError):
-        return float("inf")
 
 
 def _frozen(problem: Problem, theta: np.ndarray) -> Problem:

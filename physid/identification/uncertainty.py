@@ -19,6 +19,8 @@ from physid.identification.problem import MOST_AT_ONCE, Block, Estimate, Problem
 
 WIDEST = 400
 """Most lags of the Bartlett kernel, samples."""
+BLURRED = 1e-5
+"""... below which one-sided differences, good to four digits, do not tell whether it is."""
 UNSEEN = 1e-9
 """Eigenvalue of the scaled information matrix below which a direction is not identified."""
 
@@ -36,11 +38,14 @@ def uncertainty_of(problem: Problem, estimate: Estimate) -> Uncertainty:
     p = len(estimate.theta)
     if not p:
         return Uncertainty(np.zeros((0, 0)), np.zeros(0))
-    blocks = _columns(problem, estimate)
-    point = reduced(problem, blocks(), estimate.residuals)
-    hessian, _ = normal_equations(problem, point, estimate.theta)
-    scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
-    values, vectors = np.linalg.eigh(hessian / np.outer(scale, scale))
+    for central in (False, True):
+        blocks = _columns(problem, estimate, central=central)
+        point = reduced(problem, blocks(), estimate.residuals)
+        hessian, _ = normal_equations(problem, point, estimate.theta)
+        scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+        values, vectors = np.linalg.eigh(hessian / np.outer(scale, scale))
+        if values.min() > BLURRED * values.max():
+            break
     seen = values > UNSEEN * values.max()
     inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T / np.outer(scale, scale)
     blind = np.abs(vectors[:, ~seen]).max(axis=1, initial=0.0) > 0.1
@@ -52,11 +57,11 @@ def uncertainty_of(problem: Problem, estimate: Estimate) -> Uncertainty:
 
 
 def _columns(
-    problem: Problem, estimate: Estimate
+    problem: Problem, estimate: Estimate, *, central: bool
 ) -> Callable[[], Iterable[tuple[Block, np.ndarray]]]:
     """Return how to go through the columns, twice: what fits in memory is simulated once."""
     once = partial(
-        columns_of, problem, estimate.theta, estimate.states, estimate.residuals, central=True
+        columns_of, problem, estimate.theta, estimate.states, estimate.residuals, central=central
     )
     if sum(len(w.starts) * w.samples for w in problem.windows) > MOST_AT_ONCE:
         return once

@@ -223,18 +223,20 @@ class Simulator:
 @numba.njit(cache=True, nogil=True)
 def _observed(states, rates, sensor_map, nv):  # type: ignore[no-untyped-def]
     """Return linear sensors' readings (w, samples, channels) of states and, if there are any, rates."""
-    known = 1 + 2 * nv
     found = np.empty((*states.shape[:2], sensor_map.shape[0]))
-    for w in range(found.shape[0]):
-        for k in range(found.shape[1]):
-            for c in range(found.shape[2]):
-                value = sensor_map[c, 0]
-                for j in range(2 * nv):
-                    value += sensor_map[c, 1 + j] * states[w, k, j]
-                if rates.shape[0]:
-                    for j in range(nv):
-                        value += sensor_map[c, known + j] * rates[w, k, j]
-                found[w, k, c] = value
+    for c in range(found.shape[2]):
+        found[:, :, c] = sensor_map[c, 0]
+        # Most sensors read one coordinate.
+        for j in range(2 * nv):
+            if sensor_map[c, 1 + j] != 0.0:
+                for w in range(found.shape[0]):
+                    for k in range(found.shape[1]):
+                        found[w, k, c] += sensor_map[c, 1 + j] * states[w, k, j]
+        for j in range(nv if rates.shape[0] else 0):
+            if sensor_map[c, 1 + 2 * nv + j] != 0.0:
+                for w in range(found.shape[0]):
+                    for k in range(found.shape[1]):
+                        found[w, k, c] += sensor_map[c, 1 + 2 * nv + j] * rates[w, k, j]
     return found
 
 
