@@ -27,8 +27,6 @@ SHORT_STEP = 0.02
 """Longest step, as a share of the parameters' sizes, after which the columns may serve again."""
 SERVES = 0.7
 """Least share of the predicted fall that such a step must bring (Kelley, Iterative Methods, 1995, 5.4)."""
-LOOSE = 1e-4
-"""Tolerance from which a fit may end on columns of the point before."""
 SHARES = (1.0, 1.0, 0.4, 0.15, 0.05, 0.015, 0.004)
 """Shares of a step that are tried in turn; the damping grows while they are 1."""
 
@@ -111,7 +109,7 @@ def minimise(
         # Near the minimum each step gains a like share of what the one before it gained.
         expected = fall * min(max(fall / before, LEAST_SHARE), 1.0) if before > 0.0 else fall
         done = expected < tolerance * chi2 or chi2 < enough
-        if done and not fresh and tolerance < LOOSE:
+        if done and not fresh and len(theta) * fall > tolerance * chi2 * before:
             # Old columns end where they, not those of the minimum, are orthogonal to the residual.
             done, point = False, None
     return Estimate(

@@ -56,11 +56,11 @@ def windowed(problem: Problem, periods: float, spans: Spans | None = None) -> Pr
     )
 
 
-def thinned(problem: Problem, most: int) -> Problem:
-    """Leave out windows, evenly, until at most so many samples or :data:`FEWEST` windows remain."""
+def thinned(problem: Problem, most: int, fewest: int = FEWEST) -> Problem:
+    """Leave out windows, evenly, until at most so many samples or so few windows remain."""
     total = sum(len(w.starts) * w.samples for w in problem.windows)
     count = sum(len(w.starts) for w in problem.windows)
-    stride = min(int(np.ceil(total / most)), count // FEWEST)
+    stride = min(int(np.ceil(total / most)), count // fewest)
     if stride <= 1:
         return problem
     return problem.with_windows(
@@ -87,23 +87,14 @@ def starting_point(problem: Problem, extra: Sequence[np.ndarray] = ()) -> np.nda
     """
     if not problem.parameters:
         return problem.start()
+    quick = _quick_start(problem, extra)
+    if quick is not None:
+        return quick
     long = thinned(windowed(problem, LONG), ENOUGH)
-    states, settled = long.states(), SETTLED * long.measurements()
-    judge = _Judge(long, states)
-    found: list[np.ndarray] = []
-    for theta in chain(_from_force_balance(problem), [problem.start(), *extra]):
-        found.append(theta)
-        if judge.roughly(theta) < NEAR * settled:
-            near = judge.polished(theta, settled)
-            if near is not None and near.chi2 < settled:
-                return near.theta
-            found += [near.theta] if near is not None else []
+    settled, judge = SETTLED * long.measurements(), _Judge(long)
+    found = [*_from_force_balance(problem), problem.start(), *extra]
     costs = [judge.cost(theta) for theta in found]
     best = found[int(np.argmin(costs))] if np.isfinite(min(costs)) else problem.start()
-    if min(costs) < FAR * settled:
-        near = judge.polished(best, settled)
-        if near is not None and near.chi2 < settled:
-            return near.theta
     short = thinned(windowed(problem, SHORT), ENOUGH)
     for start in _distinct([best, problem.start()]):
         try:
@@ -119,8 +110,8 @@ def starting_point(problem: Problem, extra: Sequence[np.ndarray] = ()) -> np.nda
 class _Judge:
     """Judges parameter values on windows, every window from its best initial state."""
 
-    def __init__(self, problem: Problem, states: list[np.ndarray]) -> None:
-        self.problem, self.states = problem, states
+    def __init__(self, problem: Problem) -> None:
+        self.problem, self.states = problem, problem.states()
         self.ground: Reduced | None = None
 
     def roughly(self, theta: np.ndarray) -> float:
@@ -155,6 +146,24 @@ class _Judge:
             )
         except (DivergedError, ModelError):
             return None
+
+
+def _quick_start(problem: Problem, extra: Sequence[np.ndarray]) -> np.ndarray | None:
+    """Return a start that a few steps from the force balance or the given values settle, if one does."""
+    long = thinned(windowed(problem, LONG), ENOUGH // 2, FEWEST // 2)
+    settled, judge = SETTLED * long.measurements(), _Judge(long)
+    found: list[np.ndarray] = []
+    costs: list[float] = []
+    for theta in chain(_from_force_balance(problem), [problem.start(), *extra]):
+        found.append(theta)
+        costs.append(judge.roughly(theta))
+        if costs[-1] < NEAR * settled:
+            break
+    if min(costs) < FAR * settled:
+        near = judge.polished(found[int(np.argmin(costs))], settled)
+        if near is not None and near.chi2 < settled:
+            return near.theta
+    return None
 
 
 def _distinct(points: Sequence[np.ndarray]) -> list[np.ndarray]:

@@ -19,7 +19,7 @@ from physid.identification.problem import MOST_AT_ONCE, Block, Estimate, Problem
 
 WIDEST = 400
 """Most lags of the Bartlett kernel, samples."""
-BLURRED = 1e-5
+BLURRED = 1e-7
 """... below which one-sided differences, good to four digits, do not tell whether it is."""
 UNSEEN = 1e-9
 """Eigenvalue of the scaled information matrix below which a direction is not identified."""
