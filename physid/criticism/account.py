@@ -15,7 +15,8 @@ from physid.criticism.residuals import (
     is_white,
     white_band,
 )
-from physid.identification.problem import Estimate, Problem
+from physid.identification.estimate import Estimate
+from physid.identification.problem import Problem
 from physid.plant.effect import Placed
 from physid.plant.model import Model
 from physid.plant.parameter import Parameter, units_of, write_unit

@@ -9,9 +9,10 @@ from scipy.stats import norm
 
 from physid.criticism.refit import Base, Refit
 from physid.errors import NumericsError
+from physid.identification.estimate import Estimate
 from physid.identification.linearisation import linearise
 from physid.identification.noise import correlation_time
-from physid.identification.problem import Estimate, Problem
+from physid.identification.problem import Problem
 from physid.identification.screening import orthonormal
 from physid.identification.staged import states_only
 from physid.identification.uncertainty import bartlett

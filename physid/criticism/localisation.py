@@ -14,8 +14,9 @@ from itertools import pairwise
 import mujoco
 import numpy as np
 
+from physid.identification.estimate import Estimate
 from physid.identification.linearisation import linearise, project_out
-from physid.identification.problem import Estimate, Problem, residuals_of, with_activations
+from physid.identification.problem import Problem, residuals_of, with_activations
 from physid.identification.screening import scales_of, thinned_fit
 from physid.plant.model import Model
 from physid.plant.structure import Place

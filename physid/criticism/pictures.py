@@ -10,8 +10,9 @@ import numpy as np
 
 from physid.criticism.account import record_curves, residual_curves, spectrum_curves
 from physid.criticism.comparison import Lack, correlation_curves, latent_curves
+from physid.identification.estimate import Estimate
 from physid.identification.fitting import Fitted
-from physid.identification.problem import Estimate, Problem
+from physid.identification.problem import Problem
 from physid.plant.callback import run_time_laws
 from physid.plant.model import Model
 

@@ -31,9 +31,10 @@ from physid.criticism.pictures import diagnosis_curves, tested_curves
 from physid.criticism.refit import start_of, with_candidate
 from physid.effects.catalogue import load_model_text
 from physid.identification.accuracy import for_engine, with_substeps
+from physid.identification.estimate import Estimate
 from physid.identification.fitting import FAR_WORSE, Fitted, fit_study
 from physid.identification.output_error import minimise
-from physid.identification.problem import Estimate, Problem
+from physid.identification.problem import Problem
 from physid.identification.staged import states_only
 from physid.identification.study import Options, Study, as_model, experiments_of, prepare
 from physid.identification.windows import whole

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from physid.errors import ModelError, NumericsError
+from physid.identification.estimate import Estimate
 from physid.identification.force_balance import observable, solve_balance, widths
 from physid.identification.output_error import minimise
-from physid.identification.problem import Estimate, Problem
+from physid.identification.problem import Problem
 from physid.identification.screening import screen
 from physid.identification.staged import LONG, SHORT, states_only
 from physid.identification.windows import Span

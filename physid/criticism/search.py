@@ -24,7 +24,8 @@ from physid.criticism.refit import (
 )
 from physid.effects.catalogue import CATALOGUE
 from physid.errors import NumericsError
-from physid.identification.problem import Estimate, Problem
+from physid.identification.estimate import Estimate
+from physid.identification.problem import Problem
 from physid.identification.screening import Scored, possible_candidates, screen, shortlist
 from physid.identification.staged import ENOUGH, Spans, fit_windows, states_only, thinned, windowed
 from physid.identification.study import Study

@@ -11,9 +11,10 @@ from scipy.ndimage import gaussian_filter1d
 
 from physid.errors import ModelError, NumericsError
 from physid.identification.accuracy import SHARE_OF_RESULT, as_engine, refine_steps
+from physid.identification.estimate import Estimate
 from physid.identification.experiment import Experiment
 from physid.identification.force_balance import Balance, balance, observable, widths
-from physid.identification.problem import Estimate, Problem, residuals_of
+from physid.identification.problem import Problem, residuals_of
 from physid.identification.staged import (
     LONG,
     SETTLED,

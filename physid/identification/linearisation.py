@@ -108,16 +108,46 @@ class Reduced:
         return max(self.squares - float(self.residual @ self.residual), 0.0)
 
     def at(self, residuals: list[np.ndarray]) -> Reduced:
-        """Return the same columns beside another residual, (w, samples, ny) per experiment.
-
-        Near a minimum the columns hardly change, and they are what a linearisation costs.
-        """
+        """Return the same columns beside another residual, (w, samples, ny) per experiment."""
         factors = []
         for rows, residual in zip(self.rows, residuals, strict=True):
             flat = residual.reshape(len(rows), -1, 1)
             factors.append(np.linalg.qr(np.concatenate([rows, flat], axis=2), mode="r"))
-        found = _without_states(factors, self.solvers[0].shape[1], residuals)
-        return replace(found, rows=self.rows)
+        nx = self.solvers[0].shape[1]
+        return replace(_without_states(factors, nx, residuals), rows=self.rows)
+
+    def updated(
+        self,
+        shifts: list[np.ndarray],
+        change: np.ndarray,
+        before: list[np.ndarray],
+        after: list[np.ndarray],
+    ) -> Reduced:
+        """Return the columns after a step, changed as little as agrees with what the step did.
+
+        Broyden's update (Math. Comp. 19, 1965), every column in units of its own length: near a minimum
+        columns hardly change, and simulating them is what a linearisation costs.
+
+        Parameters
+        ----------
+        shifts : list of ndarray (w, nx)
+            Steps of the windows' initial states.
+        change : ndarray (p,)
+            Step of the parameters.
+        before, after : list of ndarray (w, samples, ny)
+            Weighted residuals.
+        """
+        found = []
+        for rows, shift, old, new in zip(self.rows, shifts, before, after, strict=True):
+            step = np.concatenate(
+                [shift, np.broadcast_to(change, (len(shift), len(change)))], axis=1
+            )
+            done = (old - new).reshape(len(rows), -1)
+            missed = done - np.einsum("wmc,wc->wm", rows, step)
+            weighted = step * np.einsum("wmc,wmc->wc", rows, rows)
+            size = np.maximum(np.sum(step * weighted, axis=1, keepdims=True), 1e-300)
+            found.append(rows + missed[:, :, None] * (weighted / size)[:, None, :])
+        return replace(self, rows=found).at(after)
 
     def state_steps(self, change: np.ndarray) -> list[np.ndarray]:
         """Return the change of every window's free state (w, nx) for a parameter change (p,)."""

@@ -12,8 +12,9 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from physid.errors import DivergedError
+from physid.identification.estimate import Estimate
 from physid.identification.linearisation import Reduced, normal_equations, reduce
-from physid.identification.problem import Estimate, Problem, residuals_of, with_activations
+from physid.identification.problem import Problem, residuals_of, with_activations
 from physid.identification.windows import Windows, initial_states, state_indices
 from physid.plant.model import Model
 
@@ -23,10 +24,8 @@ FARTHEST = 5.0
 """Longest step of a parameter in multiples of its size."""
 LEAST_SHARE = 0.01
 """Least share of a step's gain that the next one is expected to gain."""
-SHORT_STEP = 0.02
-"""Longest step, as a share of the parameters' sizes, after which the columns may serve again."""
 SERVES = 0.7
-"""Least share of the predicted fall that such a step must bring (Kelley, Iterative Methods, 1995, 5.4)."""
+"""Least share of the predicted fall that a step must bring for its columns to serve again."""
 SHARES = (1.0, 1.0, 0.4, 0.15, 0.05, 0.015, 0.004)
 """Shares of a step that are tried in turn; the damping grows while they are 1."""
 
@@ -39,6 +38,8 @@ def minimise(
     iterations: int = 30,
     tolerance: float = 1e-4,
     enough: float = 0.0,
+    point: Reduced | None = None,
+    keep: bool = False,
 ) -> Estimate:
     """Fit parameters and initial states.
 
@@ -55,6 +56,10 @@ def minimise(
         Stop when the predicted fall of chi2 is below this share of it.
     enough : float
         Stop at a chi2 below this.
+    point : Reduced, optional
+        The linearisation at the start, if it is known.
+    keep : bool
+        Whether the estimate keeps the last linearisation, of a step that moved next to nothing.
 
     Returns
     -------
@@ -74,20 +79,16 @@ def minimise(
     damping, done, fall = 1e-6, False, 0.0
     limits = [p.lower for p in problem.parameters], [p.upper for p in problem.parameters]
     iteration = 0
-    point: Reduced | None = None
+    fresh = True
     while iteration < iterations and not done:
         iteration += 1
-        fresh = point is None
-        point = reduce(problem, theta, states, residuals) if point is None else point.at(residuals)
+        point = point or reduce(problem, theta, states, residuals)
         accepted = False
         for share in SHARES:
             change, predicted = _step(problem, point, theta, damping)
-            shifts = point.state_steps(change)
-            change = share * change
-            moved = [
-                _moved(problem.model, x, share * d) for x, d in zip(states, shifts, strict=True)
-            ]
-            target = np.clip(theta + change, *limits)
+            shifts = [share * d for d in point.state_steps(change)]
+            moved = [_moved(problem.model, x, d) for x, d in zip(states, shifts, strict=True)]
+            target = np.clip(theta + share * change, *limits)
             tried = residuals_of(problem, [target], [moved])[0]
             value = _chi2(problem, target, tried)
             if np.isfinite(value) and value < chi2:
@@ -97,21 +98,23 @@ def minimise(
                 break
             damping = max(10 * damping, 1e-3) if share == 1.0 else damping
         if not accepted:
-            done, point = fresh, None
+            done, fresh = fresh, True
+            point = point if done else None
             continue
         before, fall = fall, chi2 - value
-        # Columns serve again while a full step is short and does what it promised.
-        short = np.all(np.abs(target - theta) <= SHORT_STEP * _sizes(problem, theta))
-        serves = share == 1.0 and short and bool(point.rows) and fall > SERVES * predicted
-        point = point if serves else None
-        theta, states, residuals, chi2 = target, moved, tried, value
-        damping = max(damping * (0.1 if fall > 0.5 * predicted else 1.0), 1e-9)
         # Near the minimum each step gains a like share of what the one before it gained.
         expected = fall * min(max(fall / before, LEAST_SHARE), 1.0) if before > 0.0 else fall
-        done = expected < tolerance * chi2 or chi2 < enough
+        done = expected < tolerance * chi2 or value < enough
+        # Old columns end where they, not those of the minimum, are orthogonal to the residual.
         if done and not fresh and len(theta) * fall > tolerance * chi2 * before:
-            # Old columns end where they, not those of the minimum, are orthogonal to the residual.
-            done, point = False, None
+            done, serves = False, False
+        else:
+            serves = share == 1.0 and bool(point.rows) and fall > SERVES * predicted
+        if not done:
+            fresh = not serves
+            point = point.updated(shifts, target - theta, residuals, tried) if serves else None
+        theta, states, residuals, chi2 = target, moved, tried, value
+        damping = max(damping * (0.1 if fall > 0.5 * predicted else 1.0), 1e-9)
     return Estimate(
         theta=theta,
         states=states,
@@ -119,6 +122,7 @@ def minimise(
         chi2=chi2,
         iterations=iteration,
         converged=done,
+        point=point if keep and done and fresh else None,
     )
 
 

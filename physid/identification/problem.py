@@ -94,27 +94,6 @@ class Problem:
         return sum(len(w.starts) * w.samples for w in self.windows) * len(self.sigma)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Estimate:
-    """Where an optimiser ended.
-
-    ``residuals`` are weighted, (w, samples, ny) per experiment; ``chi2`` is their sum of squares plus
-    the priors' part.
-    """
-
-    theta: np.ndarray
-    states: list[np.ndarray]
-    residuals: list[np.ndarray]
-    chi2: float
-    iterations: int
-    converged: bool
-
-    @property
-    def squares(self) -> float:
-        """Sum of squares of the weighted residuals."""
-        return float(sum(np.sum(r * r) for r in self.residuals))
-
-
 def with_activations(
     plant: Plant, controls: np.ndarray, states: np.ndarray, starts: np.ndarray, substeps: int
 ) -> np.ndarray:

@@ -16,8 +16,9 @@ import numpy as np
 
 from physid.effects.catalogue import CATALOGUE, places_of
 from physid.errors import ModelError
+from physid.identification.estimate import Estimate
 from physid.identification.linearisation import Linearisation, linearise
-from physid.identification.problem import Estimate, Problem, residuals_of, with_activations
+from physid.identification.problem import Problem, residuals_of, with_activations
 from physid.plant.callback import run_time_laws
 from physid.plant.effect import Effect, Placed, Scales, Trial
 from physid.plant.parameter import element_id

@@ -9,10 +9,11 @@ from itertools import chain
 import numpy as np
 
 from physid.errors import ConvergenceError, DivergedError, ModelError
+from physid.identification.estimate import Estimate
 from physid.identification.force_balance import observable, solve_balance, widths
 from physid.identification.linearisation import Reduced, reduce
 from physid.identification.output_error import minimise
-from physid.identification.problem import Estimate, Problem, residuals_of
+from physid.identification.problem import Problem, residuals_of
 from physid.identification.windows import Span, Windows, cut, typical_period, whole
 
 SHORT, LONG = 0.3, 1.5
@@ -113,6 +114,7 @@ class _Judge:
     def __init__(self, problem: Problem) -> None:
         self.problem, self.states = problem, problem.states()
         self.ground: Reduced | None = None
+        self.theta: np.ndarray | None = None
 
     def roughly(self, theta: np.ndarray) -> float:
         """Return the cost by one simulation; what states do is taken from the first values asked."""
@@ -120,9 +122,9 @@ class _Judge:
             residuals = residuals_of(self.problem, [theta], [self.states])[0]
             if not all(np.isfinite(r).all() for r in residuals):
                 return float("inf")
-            if self.ground is None or not self.ground.rows:
-                fixed = _frozen(self.problem, theta)
-                self.ground = reduce(fixed, np.zeros(0), self.states, residuals)
+            if self.ground is None:
+                self.ground = reduce(self.problem, theta, self.states, residuals)
+                self.theta = theta
                 left = self.ground.residual
             else:
                 left = self.ground.at(residuals).residual
@@ -142,7 +144,13 @@ class _Judge:
         """Return the fit a few steps from here, or None where it diverges."""
         try:
             return minimise(
-                self.problem, theta, self.states, iterations=POLISH, tolerance=1e-3, enough=enough
+                self.problem,
+                theta,
+                self.states,
+                iterations=POLISH,
+                tolerance=1e-3,
+                enough=enough,
+                point=self.ground if theta is self.theta else None,
             )
         except (DivergedError, ModelError):
             return None
@@ -223,7 +231,7 @@ def fit_whole(
         If the simulation diverges or no minimum is reached.
     """
     whole_problem = on_whole_records(problem)
-    estimate = minimise(whole_problem, theta, states, iterations=40, tolerance=tolerance)
+    estimate = minimise(whole_problem, theta, states, iterations=40, tolerance=tolerance, keep=True)
     if not np.isfinite(estimate.chi2):
         raise ConvergenceError("The fit did not reach a finite misfit; check the model's units.")
     return estimate

@@ -13,9 +13,10 @@ from functools import partial
 
 import numpy as np
 
+from physid.identification.estimate import Estimate
 from physid.identification.linearisation import Reduced, columns_of, normal_equations, reduced
 from physid.identification.noise import correlation_time
-from physid.identification.problem import MOST_AT_ONCE, Block, Estimate, Problem
+from physid.identification.problem import MOST_AT_ONCE, Block, Problem
 
 WIDEST = 400
 """Most lags of the Bartlett kernel, samples."""
@@ -59,7 +60,16 @@ def uncertainty_of(problem: Problem, estimate: Estimate) -> Uncertainty:
 def _columns(
     problem: Problem, estimate: Estimate, *, central: bool
 ) -> Callable[[], Iterable[tuple[Block, np.ndarray]]]:
-    """Return how to go through the columns, twice: what fits in memory is simulated once."""
+    """Return how to go through the columns, twice: what fits in memory is simulated once, or not at all."""
+    if estimate.point is not None and estimate.point.rows and not central:
+        known = [
+            (
+                Block(e, slice(0, len(r)), slice(0, r.shape[1])),
+                np.concatenate([rows, r.reshape(len(r), -1, 1)], axis=2),
+            )
+            for e, (rows, r) in enumerate(zip(estimate.point.rows, estimate.residuals, strict=True))
+        ]
+        return lambda: known
     once = partial(
         columns_of, problem, estimate.theta, estimate.states, estimate.residuals, central=central
     )
