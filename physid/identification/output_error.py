@@ -81,8 +81,9 @@ def minimise(
     iteration = 0
     fresh = True
     while iteration < iterations and not done:
-        iteration += 1
-        point = point or reduce(problem, theta, states, residuals)
+        if point is None:
+            point = reduce(problem, theta, states, residuals)
+        iteration += 1 if fresh else 0
         accepted = False
         for share in SHARES:
             change, predicted = _step(problem, point, theta, damping)

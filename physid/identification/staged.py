@@ -57,11 +57,11 @@ def windowed(problem: Problem, periods: float, spans: Spans | None = None) -> Pr
     )
 
 
-def thinned(problem: Problem, most: int, fewest: int = FEWEST) -> Problem:
-    """Leave out windows, evenly, until at most so many samples or so few windows remain."""
+def thinned(problem: Problem, most: int) -> Problem:
+    """Leave out windows, evenly, until at most so many samples or :data:`FEWEST` windows remain."""
     total = sum(len(w.starts) * w.samples for w in problem.windows)
     count = sum(len(w.starts) for w in problem.windows)
-    stride = min(int(np.ceil(total / most)), count // fewest)
+    stride = min(int(np.ceil(total / most)), count // FEWEST)
     if stride <= 1:
         return problem
     return problem.with_windows(
@@ -158,7 +158,7 @@ class _Judge:
 
 def _quick_start(problem: Problem, extra: Sequence[np.ndarray]) -> np.ndarray | None:
     """Return a start that a few steps from the force balance or the given values settle, if one does."""
-    long = thinned(windowed(problem, LONG), ENOUGH // 2, FEWEST // 2)
+    long = _evenly(windowed(problem, LONG), ENOUGH // 2)
     settled, judge = SETTLED * long.measurements(), _Judge(long)
     found: list[np.ndarray] = []
     costs: list[float] = []
@@ -172,6 +172,23 @@ def _quick_start(problem: Problem, extra: Sequence[np.ndarray]) -> np.ndarray | 
         if near is not None and near.chi2 < settled:
             return near.theta
     return None
+
+
+def _evenly(problem: Problem, most: int) -> Problem:
+    """Keep about so many samples, in three windows of every record at least."""
+    share = most / sum(len(w.starts) * w.samples for w in problem.windows)
+    return problem.with_windows(
+        [
+            w.take(
+                np.unique(
+                    np.linspace(0, len(w.starts) - 1, max(3, int(share * len(w.starts)))).astype(
+                        int
+                    )
+                )
+            )
+            for w in problem.windows
+        ]
+    )
 
 
 def _distinct(points: Sequence[np.ndarray]) -> list[np.ndarray]:

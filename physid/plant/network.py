@@ -96,19 +96,62 @@ def _one_step_map(linear, nv, n, h):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
+def _several_steps(onward, drive, steps):  # type: ignore[no-untyped-def]
+    """Return the map of so many steps with the same input: P^s, (1 + P + ... + P^(s-1)) Q."""
+    far, pushed = np.eye(onward.shape[0]), np.zeros_like(drive)
+    for _ in range(steps):
+        pushed = onward @ pushed + drive
+        far = onward @ far
+    return far, pushed
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _is_held(controls, first, count):  # type: ignore[no-untyped-def]
+    """Say whether the inputs do not change over some steps."""
+    for s in range(1, count):
+        for j in range(controls.shape[1]):
+            if controls[min(first + s, len(controls) - 1), j] != controls[first, j]:
+                return False
+    return True
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _move(onward, steady, driven, limits, x, after, controls, row):  # type: ignore[no-untyped-def]
+    """Replace x by P x + b + B u, u within its limits."""
+    n = x.size
+    for i in range(n):
+        after[i] = steady[i]
+    for j in range(limits.shape[0]):
+        u = min(max(controls[row, j], limits[j, 0]), limits[j, 1])
+        for i in range(n):
+            after[i] += driven[i, j] * u
+    for i in range(n):
+        value = after[i]
+        for j in range(n):
+            value += onward[i, j] * x[j]
+        after[i] = value
+    x[:] = after
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _integrate_linear(  # type: ignore[no-untyped-def]
     linear, onward, drive, limits, initial, controls, starts, samples, substeps, states
 ):
     """Integrate windows of a rig without elements: x+ = P x + Q (b + B u), nothing else."""
-    n, nu = initial.shape[1], limits.shape[0]
-    steady = drive @ np.ascontiguousarray(linear[:, 0])
-    driven = drive @ np.ascontiguousarray(linear[:, 1 + n :])
+    n = initial.shape[1]
+    offset, force = np.ascontiguousarray(linear[:, 0]), np.ascontiguousarray(linear[:, 1 + n :])
+    far, pushed = _several_steps(onward, drive, substeps)
+    steady, driven, far_steady, far_driven = (
+        drive @ offset,
+        drive @ force,
+        pushed @ offset,
+        pushed @ force,
+    )
     x, after = np.zeros(n), np.zeros(n)
+    last = controls.shape[0] - 1
     for w in range(initial.shape[0]):
-        for i in range(n):
-            x[i] = initial[w, i]
+        x[:] = initial[w]
         for k in range(samples):
-            step = (starts[w] + k) * substeps
             wild = False
             for i in range(n):
                 states[w, k, i] = x[i]
@@ -116,21 +159,13 @@ def _integrate_linear(  # type: ignore[no-untyped-def]
             if wild:
                 states[w, k:] = np.nan
                 break
-            for s in range(substeps):
-                row = min(step + s, controls.shape[0] - 1)
-                for i in range(n):
-                    after[i] = steady[i]
-                for j in range(nu):
-                    u = min(max(controls[row, j], limits[j, 0]), limits[j, 1])
-                    for i in range(n):
-                        after[i] += driven[i, j] * u
-                for i in range(n):
-                    value = after[i]
-                    for j in range(n):
-                        value += onward[i, j] * x[j]
-                    after[i] = value
-                for i in range(n):
-                    x[i] = after[i]
+            first = min((starts[w] + k) * substeps, last)
+            if _is_held(controls, first, substeps):
+                _move(far, far_steady, far_driven, limits, x, after, controls, first)
+            else:
+                for s in range(substeps):
+                    row = min(first + s, last)
+                    _move(onward, steady, driven, limits, x, after, controls, row)
 
 
 MOST_EVENTS = 24
