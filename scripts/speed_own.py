@@ -59,7 +59,7 @@ def options(rig: Rig, start: dict[str, float]) -> Options:
         if n.startswith(site + ".")
     ]
     return Options(
-        fit=list(start), bounds={n: (0.1 * v, 10 * v) for n, v in start.items()}, add=added
+        fit=list(start), bounds={n: (0.1 * v, 10 * v) for n, v in start.items()}, add=added, steps=1
     )
 
 

@@ -27,24 +27,25 @@ def refine_steps(
     states: list[np.ndarray],
     at_least: int = 1,
     share: float = SHARE,
+    most: int | None = None,
 ) -> tuple[Problem, float]:
     """Choose the number of RK4 steps per sample so that integration error does not matter.
 
     Halves the step until halving it once more changes the simulated outputs by less than ``share`` of
-    the noise (or a hundredth of the misfit).
+    the noise (or a hundredth of the misfit), or there are ``most`` steps a sample.
 
     Returns
     -------
     (Problem, float)
         The problem with that step, and the integration error relative to the noise.
     """
-    substeps = max(at_least, 1)
+    substeps, most = max(at_least, 1), most or FINEST
     coarse = _simulate(problem, theta, states, substeps)
     while True:
         fine = _simulate(problem, theta, states, 2 * substeps)
         error = _rms([a - b for a, b in zip(coarse, fine, strict=True)])
         misfit = _rms(fine)
-        if error <= max(share, share / SHARE * SHARE_OF_MISFIT * misfit) or 2 * substeps > FINEST:
+        if error <= max(share, share / SHARE * SHARE_OF_MISFIT * misfit) or 2 * substeps > most:
             return with_substeps(problem, substeps), float(error)
         substeps, coarse = 2 * substeps, fine
 

@@ -84,6 +84,7 @@ def estimated(study: Study, *, from_windows: bool = True) -> tuple[Problem, Esti
         estimate.states,
         problem.windows[0].simulator.substeps,
         SHARE_OF_RESULT,
+        study.options.steps,
     )
     if problem.windows[0].simulator.substeps != study.simulator.substeps:
         estimate = _again(problem, estimate)

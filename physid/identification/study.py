@@ -55,6 +55,7 @@ class Options:
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     add: Sequence[str] = ()
     hold: HoldChoice | None = None
+    steps: int | None = None
     rename: Mapping[str, str] = field(default_factory=dict)
     seed: int = 0
     jobs: int = 1
@@ -134,7 +135,7 @@ def prepare(
         notes += [note] if note else []
     long = windowed(problem, LONG)
     options.report("choosing the integration step", 0.25)
-    long, error = refine_steps(long, theta, long.states())
+    long, error = refine_steps(long, theta, long.states(), options.steps or 1, most=options.steps)
     problem = with_substeps(problem, long.windows[0].simulator.substeps)
     return Study(
         problem=problem,
@@ -221,7 +222,7 @@ def _problem(
     model: Model, experiments: Sequence[Experiment], hold: Hold, options: Options
 ) -> Problem:
     ranges = ranges_of(model, experiments)
-    substeps = _stable_substeps(model, experiments)
+    substeps = options.steps or _stable_substeps(model, experiments)
     windows = [
         whole(
             e,
