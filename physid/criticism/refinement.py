@@ -137,7 +137,7 @@ def with_effects(study: Study, candidate: Candidate) -> Study:
     """
     fit = candidate.refit
     problem = fit.problem.with_windows(study.problem.windows)
-    return replace(study, problem=problem, theta=fit.fits["long"].theta)
+    return replace(study, problem=problem, theta=fit.fits["long"].theta, states=None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -201,7 +201,9 @@ def refine(
         steps += added[:kept]
         if kept:
             problem = replace(steps[-1].fitted.problem, windows=study.problem.windows)
-            study = replace(study, problem=problem, theta=steps[-1].fitted.estimate.theta)
+            study = replace(
+                study, problem=problem, theta=steps[-1].fitted.estimate.theta, states=None
+            )
         if kept < len(added):
             remaining = "nothing_missing" if _is_noise(steps[-1].fitted) else "unexplained"
             break
@@ -247,7 +249,7 @@ def _added_one_by_one(study: Study, tests: Sequence[object], found: Diagnosis) -
     for k in range(1, len(placed)):
         problem = with_candidate(study.problem, placed[:k])
         known = start_of(study.problem, study.theta, problem)
-        part = replace(study, problem=problem, theta=known)
+        part = replace(study, problem=problem, theta=known, states=None)
         p_value = singles.get(best.refit.sites()[:k], best.p_value)
         steps.append(_step(part, tests, placed[k - 1 : k], p_value))
     steps.append(_step(with_effects(study, best), tests, placed[-1:], best.p_value))

@@ -97,7 +97,7 @@ def _from_windows(study: Study) -> Estimate:
     Whole records that are fitted to hardly more than noise from the start need no windows.
     """
     with suppress(NumericsError):
-        first = fit_whole(on_whole_records(study.problem), study.theta)
+        first = fit_whole(on_whole_records(study.problem), study.theta, study.states)
         if first.squares < SETTLED * study.problem.measurements():
             return first
     windows = windowed(study.problem, LONG)

@@ -60,10 +60,11 @@ def columns_of(
     ahead = [theta + step * np.eye(p)[k] for k, step in enumerate(steps)]
     mirrored = _mirrored(problem.parameters, theta, steps) if central else []
     behind = [theta - steps[k] * np.eye(p)[k] for k in mirrored]
-    thetas = [*[theta] * nx, *ahead, *behind]
+    thetas = [*[theta] * len(moved), *ahead, *behind]
     sizes = np.concatenate([STEP * scales, steps])
     sizes[[nx + k for k in mirrored]] *= 2.0
-    for block, runs in blocks_of(problem, thetas, [*moved, *[states] * (len(thetas) - nx)]):
+    starts = [*moved, *[states] * (len(ahead) + len(behind))]
+    for block, runs in blocks_of(problem, thetas, starts):
         base = residuals[block.experiment][block.windows, block.samples]
         # Columns are filled one after the other; LAPACK wants them so as well.
         found = np.empty((len(base), nx + p + 1, base[0].size)).transpose(0, 2, 1)
@@ -112,7 +113,7 @@ class Reduced:
         factors = []
         for rows, residual in zip(self.rows, residuals, strict=True):
             flat = residual.reshape(len(rows), -1, 1)
-            factors.append(np.linalg.qr(np.concatenate([rows, flat], axis=2), mode="r"))
+            factors.append(triangular(np.concatenate([rows, flat], axis=2)))
         nx = self.solvers[0].shape[1]
         return replace(_without_states(factors, nx, residuals), rows=self.rows)
 
@@ -162,11 +163,9 @@ def reduce(
     theta: np.ndarray,
     states: list[np.ndarray],
     residuals: list[np.ndarray],
-    *,
-    central: bool = False,
 ) -> Reduced:
     """Linearise the simulation and keep triangular factors alone; see :func:`columns_of`."""
-    blocks = columns_of(problem, theta, states, residuals, central=central)
+    blocks = columns_of(problem, theta, states, residuals)
     return reduced(problem, blocks, residuals)
 
 
@@ -182,7 +181,7 @@ def reduced(
         if whole:
             kept.append(columns[:, :, :-1])
         rows = np.concatenate([factor, columns], axis=1) if block.samples.start else columns
-        factor = np.linalg.qr(rows, mode="r")
+        factor = triangular(rows)
         if block.samples.stop == problem.windows[block.experiment].samples:
             done[block.experiment].append(factor)
     nx = len(state_indices(problem.model))
@@ -204,7 +203,7 @@ def _without_states(factors: list[np.ndarray], nx: int, residuals: list[np.ndarr
         rows.append(factor[:, nx:, nx:].reshape(-1, right.shape[2]))
     stacked = np.concatenate(rows)
     if len(stacked) > 4 * stacked.shape[1]:
-        stacked = np.linalg.qr(stacked, mode="r")
+        stacked = triangular(stacked)
     return Reduced(
         columns=stacked[:, :-1],
         residual=stacked[:, -1],
@@ -259,6 +258,11 @@ def linearise(
         bases.append(basis)
     stacked = np.concatenate(projected)
     return Linearisation(projected=stacked[:, :-1], remaining=stacked[:, -1].copy(), bases=bases)
+
+
+def triangular(rows: np.ndarray) -> np.ndarray:
+    """Return the triangular factors (..., min(m, c), c) of matrices (..., m, c)."""
+    return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
 def state_basis(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

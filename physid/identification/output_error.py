@@ -8,6 +8,8 @@ Steps are Levenberg-Marquardt (More 1978) with bounds kept by a bounded least-sq
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.optimize import lsq_linear
 
@@ -24,6 +26,8 @@ FARTHEST = 5.0
 """Longest step of a parameter in multiples of its size."""
 LEAST_SHARE = 0.01
 """Least share of a step's gain that the next one is expected to gain."""
+CLOSE = 0.02
+"""Difference of parameters, as a share of their sizes, that hardly changes what initial states do."""
 SERVES = 0.7
 """Least share of the predicted fall that a step must bring for its columns to serve again."""
 SHARES = (1.0, 1.0, 0.4, 0.15, 0.05, 0.015, 0.004)
@@ -77,45 +81,38 @@ def minimise(
     if not np.isfinite(chi2):
         raise DivergedError(divergence_sentence(problem, residuals))
     damping, done, fall = 1e-6, False, 0.0
-    limits = [p.lower for p in problem.parameters], [p.upper for p in problem.parameters]
     iteration = 0
-    fresh = True
+    fresh, last, at = True, point, theta
     while iteration < iterations and not done:
         if point is None:
             point = reduce(problem, theta, states, residuals)
-        iteration += 1 if fresh else 0
-        accepted = False
-        for share in SHARES:
-            change, predicted = _step(problem, point, theta, damping)
-            shifts = [share * d for d in point.state_steps(change)]
-            moved = [_moved(problem.model, x, d) for x, d in zip(states, shifts, strict=True)]
-            target = np.clip(theta + share * change, *limits)
-            tried = residuals_of(problem, [target], [moved])[0]
-            value = _chi2(problem, target, tried)
-            if np.isfinite(value) and value < chi2:
-                accepted = True
-                break
-            if predicted < tolerance * chi2 or not fresh:
-                break
-            damping = max(10 * damping, 1e-3) if share == 1.0 else damping
-        if not accepted:
+        if fresh:
+            last, at = point, theta
+            iteration += 1
+        step, damping = _descend(
+            problem, point, (theta, states, chi2), damping, tolerance, once=not fresh
+        )
+        if step is None:
             done, fresh = fresh, True
             point = point if done else None
             continue
-        before, fall = fall, chi2 - value
+        before, fall = fall, chi2 - step.chi2
         # Near the minimum each step gains a like share of what the one before it gained.
         expected = fall * min(max(fall / before, LEAST_SHARE), 1.0) if before > 0.0 else fall
-        done = expected < tolerance * chi2 or value < enough
+        done = expected < tolerance * chi2 or step.chi2 < enough
         # Old columns end where they, not those of the minimum, are orthogonal to the residual.
         if done and not fresh and len(theta) * fall > tolerance * chi2 * before:
             done, serves = False, False
         else:
-            serves = share == 1.0 and bool(point.rows) and fall > SERVES * predicted
+            serves = step.full and bool(point.rows) and fall > SERVES * step.predicted
         if not done:
             fresh = not serves
-            point = point.updated(shifts, target - theta, residuals, tried) if serves else None
-        theta, states, residuals, chi2 = target, moved, tried, value
-        damping = max(damping * (0.1 if fall > 0.5 * predicted else 1.0), 1e-9)
+            change = step.theta - theta
+            point = (
+                point.updated(step.shifts, change, residuals, step.residuals) if serves else None
+            )
+        theta, states, residuals, chi2 = step.theta, step.states, step.residuals, step.chi2
+        damping = max(damping * (0.1 if fall > 0.5 * step.predicted else 1.0), 1e-9)
     return Estimate(
         theta=theta,
         states=states,
@@ -123,14 +120,59 @@ def minimise(
         chi2=chi2,
         iterations=iteration,
         converged=done,
-        point=point if keep and done and fresh else None,
+        point=last if keep and done and _close(problem, theta, at) else None,
     )
+
+
+class _Step(NamedTuple):
+    """A step that lowered chi2: where to, how the states moved, and whether it was the full one."""
+
+    theta: np.ndarray
+    states: list[np.ndarray]
+    residuals: list[np.ndarray]
+    chi2: float
+    shifts: list[np.ndarray]
+    predicted: float
+    full: bool
+
+
+def _descend(
+    problem: Problem,
+    point: Reduced,
+    start: tuple[np.ndarray, list[np.ndarray], float],
+    damping: float,
+    tolerance: float,
+    *,
+    once: bool,
+) -> tuple[_Step | None, float]:
+    """Try ever shorter and more damped steps until one lowers chi2; return it and the damping."""
+    theta, states, chi2 = start
+    limits = [p.lower for p in problem.parameters], [p.upper for p in problem.parameters]
+    for share in SHARES:
+        change, predicted = _step(problem, point, theta, damping)
+        shifts = [share * d for d in point.state_steps(change)]
+        moved = [_moved(problem.model, x, d) for x, d in zip(states, shifts, strict=True)]
+        target = np.clip(theta + share * change, *limits)
+        tried = residuals_of(problem, [target], [moved])[0]
+        value = _chi2(problem, target, tried)
+        if np.isfinite(value) and value < chi2:
+            full = share == 1.0
+            return _Step(target, moved, tried, value, shifts, predicted, full), damping
+        if predicted < tolerance * chi2 or once:
+            break
+        damping = max(10 * damping, 1e-3) if share == 1.0 else damping
+    return None, damping
+
+
+def _close(problem: Problem, theta: np.ndarray, other: np.ndarray) -> bool:
+    """Say whether parameters are so alike that most columns are."""
+    return bool(np.all(np.abs(theta - other) <= CLOSE * _sizes(problem, theta)))
 
 
 def _sizes(problem: Problem, theta: np.ndarray) -> np.ndarray:
     """Return the sizes of parameters (p,) in which steps are measured."""
     sizes = [max(abs(t), p.scale) for p, t in zip(problem.parameters, theta, strict=True)]
-    return np.minimum(np.array(sizes), HUGE)
+    return np.asarray(np.minimum(np.array(sizes), HUGE))
 
 
 def _moved(model: Model, states: np.ndarray, shift: np.ndarray) -> np.ndarray:
@@ -171,7 +213,7 @@ def _step(
     solution = lsq_linear(root[:, None] * vectors.T, target, bounds=(lower, upper), method="bvls").x
     change = np.clip(solution / scale, lower / scale, upper / scale)
     predicted = float(2 * descent @ change - change @ hessian @ change)
-    return change, max(predicted, 0.0) + point.fall
+    return np.asarray(change), max(predicted, 0.0) + point.fall
 
 
 def divergence_sentence(problem: Problem, residuals: list[np.ndarray]) -> str:

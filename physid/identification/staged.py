@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 
@@ -74,7 +75,14 @@ def on_whole_records(problem: Problem) -> Problem:
     return problem.with_windows([whole(w.experiment, w.simulator) for w in problem.windows])
 
 
-def starting_point(problem: Problem, extra: Sequence[np.ndarray] = ()) -> np.ndarray:
+class Start(NamedTuple):
+    """Where a fit of whole records starts: parameters (p,), initial states (1, nq + nv) if known."""
+
+    theta: np.ndarray
+    states: list[np.ndarray] | None = None
+
+
+def starting_point(problem: Problem, extra: Sequence[np.ndarray] = ()) -> Start:
     """Find parameter values near the minimum on long windows.
 
     Candidates: the force balance at several widths (where every joint is seen), the given values, any
@@ -87,7 +95,7 @@ def starting_point(problem: Problem, extra: Sequence[np.ndarray] = ()) -> np.nda
         If the simulation diverges from every one of them.
     """
     if not problem.parameters:
-        return problem.start()
+        return Start(problem.start())
     quick = _quick_start(problem, extra)
     if quick is not None:
         return quick
@@ -105,7 +113,7 @@ def starting_point(problem: Problem, extra: Sequence[np.ndarray] = ()) -> np.nda
         costs.append(judge.cost(found[-1]))
         if costs[-1] < settled:
             break
-    return found[int(np.argmin(costs))]
+    return Start(found[int(np.argmin(costs))])
 
 
 class _Judge:
@@ -156,9 +164,9 @@ class _Judge:
             return None
 
 
-def _quick_start(problem: Problem, extra: Sequence[np.ndarray]) -> np.ndarray | None:
+def _quick_start(problem: Problem, extra: Sequence[np.ndarray]) -> Start | None:
     """Return a start that a few steps from the force balance or the given values settle, if one does."""
-    long = _evenly(windowed(problem, LONG), ENOUGH // 2)
+    long = _evenly(windowed(problem, LONG), ENOUGH // 4)
     settled, judge = SETTLED * long.measurements(), _Judge(long)
     found: list[np.ndarray] = []
     costs: list[float] = []
@@ -170,7 +178,8 @@ def _quick_start(problem: Problem, extra: Sequence[np.ndarray]) -> np.ndarray | 
     if min(costs) < FAR * settled:
         near = judge.polished(found[int(np.argmin(costs))], settled)
         if near is not None and near.chi2 < settled:
-            return near.theta
+            # The first window of every record starts where the record does.
+            return Start(near.theta, [x[:1] for x in near.states])
     return None
 
 

@@ -71,7 +71,8 @@ class Options:
 class Study:
     """A problem on whole records, near its minimum on windows, and what was decided on the way.
 
-    ``theta`` are parameter values from :func:`starting_point` (the model's own where nothing is free).
+    ``theta`` are parameter values from :func:`starting_point` (the model's own where nothing is free),
+    ``states`` the records' initial states (1, nq + nv) where it found them.
     """
 
     problem: Problem
@@ -79,6 +80,7 @@ class Study:
     notes: tuple[str, ...]
     integration_error: float
     options: Options
+    states: list[np.ndarray] | None = None
 
     @property
     def model(self) -> Model:
@@ -129,9 +131,10 @@ def prepare(
     _check_rows(problem)
     options.report("finding a start", 0.1)
     problem, extra = _started(problem, set(free))
-    theta = starting_point(problem, extra)
+    theta, states = starting_point(problem, extra)
     if options.hold in (None, "auto") and parameters:
         problem, theta, note = choose_hold(problem, theta)
+        states = None if note else states
         notes += [note] if note else []
     long = windowed(problem, LONG)
     options.report("choosing the integration step", 0.25)
@@ -143,6 +146,7 @@ def prepare(
         notes=(*notes, *choice_notes),
         integration_error=error,
         options=options,
+        states=states,
     )
 
 
@@ -168,7 +172,7 @@ def _started(problem: Problem, free: set[str]) -> tuple[Problem, list[np.ndarray
     plain = tuple(p for p in plain if "@" not in p.name or p.name in known)
     bare = replace(problem, model=replace(model, effects=kept), parameters=plain)
     ground_problem = thinned(windowed(bare, LONG), ENOUGH)
-    theta = starting_point(bare)
+    theta = starting_point(bare).theta
     frozen = replace(ground_problem, model=bare.at(theta))
     ground = replace(states_only(frozen), theta=theta)
     found: dict[str, float] = {}
