@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from physid.errors import ModelError, NumericsError
 from physid.identification.estimate import Estimate
 from physid.identification.force_balance import observable, solve_balance, widths
-from physid.identification.output_error import minimise
+from physid.identification.linearisation import Reduced, extended
+from physid.identification.output_error import Guess, minimise
 from physid.identification.problem import Problem
 from physid.identification.screening import screen
 from physid.identification.staged import LONG, SHORT, states_only
@@ -38,10 +40,16 @@ def judging_spans(samples: int) -> list[Span]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Base:
-    """The base model on the choosing data: problem and fit at each horizon."""
+    """The base model on the choosing data: problem, fit and linearisation at each horizon."""
 
     problems: dict[str, Problem]
     fits: dict[str, Estimate]
+    points: dict[str, Reduced]
+
+    def guess(self, problem: Problem, horizon: str) -> Guess:
+        """Return how to linearise a candidate roughly: what it shares with the base is known."""
+        names = [p.name for p in self.problems[horizon].parameters]
+        return partial(extended, self.points[horizon], names, problem)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,6 +144,7 @@ def refit(
     *,
     rank: int,
     already: tuple[Placed, ...] = (),
+    near: float = np.inf,
 ) -> Refit | None:
     """Fit a candidate from several starts, on short windows and then on long ones.
 
@@ -148,13 +157,17 @@ def refit(
         The effect at several starting values.
     scales : Scales
         How large things are at its place.
+    near : float
+        chi2 on long windows, after a first step, above which a start is not followed.
 
     Returns
     -------
     Refit or None
-        The best; None if none can be simulated or none is plausible.
+        The best; None if none can be simulated, is plausible, or comes near.
     """
-    promising = _promising(base, inner, [*starts, *_by_balance(inner, starts)], scales)
+    promising = _promising(base, inner, [*starts, *_by_balance(inner, starts)], scales, near)
+    if not promising:
+        return None
     best = _best_of(base, inner, promising, scales, rank, already)
     if best is None or not any(c.shape or c.fixed for c in starts[0].placed.effect.coefficients):
         return best
@@ -232,18 +245,22 @@ def _best_of(
     return best
 
 
-def _promising(base: Base, inner: Problem, starts: Sequence[Start], scales: Scales) -> list[Start]:
+def _promising(
+    base: Base, inner: Problem, starts: Sequence[Start], scales: Scales, near: float
+) -> list[Start]:
     """Keep the start that is best on long windows; for a shaped effect two, and two on short ones.
 
     Long windows tell amplitudes apart; under a motion that soon runs away from the measured one,
     only short ones tell shapes.
     """
-    if len(starts) < 2:
+    if len(starts) < 2 and not np.isfinite(near):
         return list(starts)
     shaped = any(c.shape or c.fixed for c in starts[0].placed.effect.coefficients)
     chosen: list[int] = []
     for horizon in ("long", "short") if shaped else ("long",):
         costs = [_first_cost(base, inner, start, scales, horizon) for start in starts]
+        if horizon == "long" and not min(costs) < near:
+            return []
         order = [int(k) for k in np.argsort(costs) if np.isfinite(costs[k])]
         chosen += order[: 2 if shaped else 1]
     return [starts[k] for k in dict.fromkeys(chosen)]
@@ -256,8 +273,13 @@ def _first_cost(base: Base, inner: Problem, start: Start, scales: Scales, horizo
     )
     theta = start_of(inner, start.theta, trial)
     try:
-        steps = 3 if horizon == "short" else 1
-        return minimise(trial, theta, base.fits[horizon].states, iterations=steps).chi2
+        return minimise(
+            trial,
+            theta,
+            base.fits[horizon].states,
+            iterations=2 if horizon == "short" else 0,
+            guess=base.guess(trial, horizon),
+        ).chi2
     except (NumericsError, ModelError):
         return float("inf")
 
@@ -300,16 +322,25 @@ def _fit_horizons(base: Base, trial: Problem, start: np.ndarray) -> dict[str, Es
     brief = trial.with_windows(base.problems["short"].windows)
     long = trial.with_windows(base.problems["long"].windows)
     try:
-        short_fit = minimise(brief, start, base.fits["short"].states, iterations=8, tolerance=2e-3)
-        long_fit = minimise(
-            long, short_fit.theta, base.fits["long"].states, iterations=8, tolerance=2e-3
-        )
+        short_fit = _fitted(base, brief, start, "short")
+        long_fit = _fitted(base, long, short_fit.theta, "long")
         if long_fit.chi2 > 0.9 * base.fits["long"].chi2:
-            other = minimise(long, start, base.fits["long"].states, iterations=8, tolerance=2e-3)
+            other = _fitted(base, long, start, "long")
             long_fit = min(long_fit, other, key=lambda e: e.chi2)
     except (NumericsError, ModelError):
         return None
     return {"short": short_fit, "long": long_fit}
+
+
+def _fitted(base: Base, problem: Problem, theta: np.ndarray, horizon: str) -> Estimate:
+    return minimise(
+        problem,
+        theta,
+        base.fits[horizon].states,
+        iterations=8,
+        tolerance=2e-3,
+        guess=base.guess(problem, horizon),
+    )
 
 
 def with_block(base: Base, fit: Refit) -> Refit:

@@ -25,6 +25,7 @@ from physid.criticism.refit import (
 from physid.effects.catalogue import CATALOGUE
 from physid.errors import NumericsError
 from physid.identification.estimate import Estimate
+from physid.identification.linearisation import reduce
 from physid.identification.problem import Problem
 from physid.identification.screening import Scored, possible_candidates, screen, shortlist
 from physid.identification.staged import ENOUGH, Spans, fit_windows, states_only, thinned, windowed
@@ -50,6 +51,9 @@ LEAST_GAIN = 12.0
 """Smallest fall of the information criterion that is not chance."""
 NOISE_LIKE = 1.25
 """A residual within this factor of the noise's variance is explained."""
+RIVAL = 30.0
+"""Mean squares over the noise's, after a first step, above which nothing rivals a candidate that leaves
+noise alone."""
 WELL_NAMED = 0.95
 """... beyond which no pair is looked for."""
 
@@ -82,10 +86,17 @@ def search(
     if base.fits["long"].squares > NOISE_LIKE * long.measurements():
         grounds.insert(0, (long, _undistorted(study, long)))
     groups = _screened(grounds, candidates, REFITS, TRIALS)
-    fits = []
-    for k, group in enumerate(groups):
-        report(f"refitting {group[0].effect.name}", 0.15 + 0.5 * k / len(groups))
-        found = refit(base, long, _starts(group), group[0].scales, rank=k)
+    fits: list[Refit] = []
+    # Effects without a shape cost least, and may make it needless to follow the others.
+    order = sorted(range(len(groups)), key=lambda k: _shaped(groups[k][0].effect))
+    for done, k in enumerate(order):
+        group = groups[k]
+        report(f"refitting {group[0].effect.name}", 0.15 + 0.5 * done / len(groups))
+        explaining = [f for f in fits if _noise_like(base, f)]
+        if any(_contains(group[0], f) for f in explaining):
+            continue
+        near = RIVAL * long.measurements() if explaining else np.inf
+        found = refit(base, long, _starts(group), group[0].scales, rank=k, near=near)
         if found is not None:
             fits.append(found)
     scales = {g[0].place: g[0].scales for g in groups}
@@ -99,6 +110,16 @@ def search(
         return fits
     alone = without_partner(base, fits[0], scales)
     return _best_with_blocks(base, _better_of([*fits, *alone], base), scales)
+
+
+def _shaped(effect: Effect) -> bool:
+    return any(c.shape or c.fixed for c in effect.coefficients)
+
+
+def _contains(scored: Scored, fit: Refit) -> bool:
+    """Say whether an effect contains a fitted one at its place; those are tried from its fit later on."""
+    own = fit.added[0]
+    return scored.place == own.place and own.effect.name in scored.effect.supersedes
 
 
 def _starts(group: Sequence[Scored]) -> list[Start]:
@@ -125,7 +146,8 @@ def base_of(study: Study) -> Base:
             fits["block"] = block
     except NumericsError:
         pass
-    return Base(problems=problems, fits=fits)
+    points = {h: reduce(problems[h], f.theta, f.states, f.residuals) for h, f in fits.items()}
+    return Base(problems=problems, fits=fits, points=points)
 
 
 def _undistorted(study: Study, problem: Problem) -> Estimate:

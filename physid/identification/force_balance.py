@@ -23,6 +23,7 @@ from physid.identification.linearisation import parameter_steps
 from physid.identification.problem import Problem
 from physid.plant.assembly import assemble, network_of, rates_of
 from physid.plant.callback import run_time_laws
+from physid.plant.family import Family
 from physid.plant.model import Model, Plant
 from physid.plant.network import Network
 from physid.plant.parameter import Parameter
@@ -228,12 +229,10 @@ def solve_balance(
 
     def residual(values: np.ndarray) -> np.ndarray:
         if family is not None:
-            parts, _ = family.parts_at(values)
-            forces = [_missing(assemble(parts), parts.mass, start, m, exact=True) for m in motions]
-        else:
-            plant = problem.plant(values, step)
-            with run_time_laws([plant]):
-                forces = [missing_force(plant, m, compiled=compiled)[0] for m in motions]
+            return np.asarray(missing_of(family, [values], motions, width)[0])
+        plant = problem.plant(values, step)
+        with run_time_laws([plant]):
+            forces = [missing_force(plant, m, compiled=compiled)[0] for m in motions]
         return _filtered(forces, motions, width)
 
     std = np.full(len(theta), np.nan)
@@ -299,6 +298,22 @@ def _pieces(experiment: Experiment) -> list[Experiment]:
         )
         for k in firsts
     ]
+
+
+def missing_of(
+    family: Family, thetas: Sequence[np.ndarray], motions: Sequence[Motion], width: float
+) -> np.ndarray:
+    """Return the missing force of plants of a family along motions, filtered, (plants, n, nv)."""
+    plants = [family.parts_at(theta)[0] for theta in thetas]
+    found = []
+    for motion in motions:
+        forces = [
+            _missing(assemble(parts), parts.mass, family.reference, motion, exact=True)
+            for parts in plants
+        ]
+        found.append(_low_pass(np.hstack(forces), motion, 3.0 * width))
+    joined = np.vstack(found)
+    return joined.reshape(len(joined), len(plants), -1).transpose(1, 0, 2)
 
 
 def _filtered(forces: Sequence[np.ndarray], motions: Sequence[Motion], width: float) -> np.ndarray:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from physid.errors import DivergedError
-from physid.identification.problem import MOST_AT_ONCE, Block, Problem, blocks_of
+from physid.identification.problem import MOST_AT_ONCE, Block, Problem, blocks_of, residuals_of
 from physid.identification.windows import state_indices
 from physid.plant.model import Model
 from physid.plant.parameter import Parameter
@@ -187,6 +187,50 @@ def reduced(
     nx = len(state_indices(problem.model))
     found = _without_states([np.concatenate(f) for f in done], nx, residuals)
     return replace(found, rows=kept) if whole else found
+
+
+def extended(
+    known: Reduced,
+    names: Sequence[str],
+    problem: Problem,
+    theta: np.ndarray,
+    states: list[np.ndarray],
+    residuals: list[np.ndarray],
+) -> Reduced | None:
+    """Linearise roughly: columns of a like problem where it has them, simulated ones for the rest.
+
+    Parameters
+    ----------
+    known : Reduced
+        Of a problem on the same windows with other effects, near the point.
+    names : sequence of str
+        Its parameters.
+
+    Returns
+    -------
+    Reduced or None
+        None where its rows were not kept, or nothing can be simulated next to the point.
+    """
+    if not known.rows:
+        return None
+    steps = parameter_steps(problem.parameters, theta)
+    own = [k for k, p in enumerate(problem.parameters) if p.name not in names]
+    thetas = [theta + steps[k] * np.eye(len(theta))[k] for k in own]
+    nx = known.solvers[0].shape[1]
+    runs = residuals_of(problem, thetas, [states] * len(thetas)) if own else []
+    rows = []
+    for e, (old, base) in enumerate(zip(known.rows, residuals, strict=True)):
+        found = np.empty((len(old), nx + len(theta), old.shape[1])).transpose(0, 2, 1)
+        found[:, :, :nx] = old[:, :, :nx]
+        for k, p in enumerate(problem.parameters):
+            if p.name in names:
+                found[:, :, nx + k] = old[:, :, nx + names.index(p.name)]
+        for k, run in zip(own, runs, strict=True):
+            found[:, :, nx + k] = ((base - run[e]) / steps[k]).reshape(len(old), -1)
+        rows.append(found)
+    if not all(np.isfinite(found).all() for found in rows):
+        return None
+    return replace(known, rows=rows).at(residuals)
 
 
 def _without_states(factors: list[np.ndarray], nx: int, residuals: list[np.ndarray]) -> Reduced:

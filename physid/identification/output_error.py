@@ -8,6 +8,7 @@ Steps are Levenberg-Marquardt (More 1978) with bounds kept by a bounded least-sq
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -24,12 +25,13 @@ HUGE = 1e100
 """Larger parameters no longer change the size of a step: their squares would overflow."""
 FARTHEST = 5.0
 """Longest step of a parameter in multiples of its size."""
-LEAST_SHARE = 0.01
+LEAST_SHARE = 0.1
 """Least share of a step's gain that the next one is expected to gain."""
 CLOSE = 0.02
 """Difference of parameters, as a share of their sizes, that hardly changes what initial states do."""
 SERVES = 0.7
 """Least share of the predicted fall that a step must bring for its columns to serve again."""
+Guess = Callable[[np.ndarray, list[np.ndarray], list[np.ndarray]], Reduced | None]
 SHARES = (1.0, 1.0, 0.4, 0.15, 0.05, 0.015, 0.004)
 """Shares of a step that are tried in turn; the damping grows while they are 1."""
 
@@ -43,6 +45,7 @@ def minimise(
     tolerance: float = 1e-4,
     enough: float = 0.0,
     point: Reduced | None = None,
+    guess: Guess | None = None,
     keep: bool = False,
 ) -> Estimate:
     """Fit parameters and initial states.
@@ -55,13 +58,15 @@ def minimise(
     states : list of ndarray (w, nq + nv), optional
         Starting initial states; guessed from the measurement if not given.
     iterations : int
-        At most so many linearisations.
+        At most so many linearisations of its own; rough ones and old ones serve besides.
     tolerance : float
         Stop when the predicted fall of chi2 is below this share of it.
     enough : float
         Stop at a chi2 below this.
     point : Reduced, optional
         The linearisation at the start, if it is known.
+    guess : callable, optional
+        From the start and its residuals to a rough linearisation, which is tried first.
     keep : bool
         Whether the estimate keeps the last linearisation, of a step that moved next to nothing.
 
@@ -80,14 +85,17 @@ def minimise(
     chi2 = _chi2(problem, theta, residuals)
     if not np.isfinite(chi2):
         raise DivergedError(divergence_sentence(problem, residuals))
-    damping, done, fall = 1e-6, False, 0.0
+    damping, done, gained = 1e-6, False, 0.0
     iteration = 0
-    fresh, last, at = True, point, theta
-    while iteration < iterations and not done:
+    if guess is not None:
+        point = guess(theta, states, residuals)
+    rough = guess is not None and point is not None
+    fresh, last, at = not rough, None, theta
+    while (iteration < iterations or not fresh) and not done:
         if point is None:
             point = reduce(problem, theta, states, residuals)
         if fresh:
-            last, at = point, theta
+            rough, last, at = False, point, theta
             iteration += 1
         step, damping = _descend(
             problem, point, (theta, states, chi2), damping, tolerance, once=not fresh
@@ -96,15 +104,17 @@ def minimise(
             done, fresh = fresh, True
             point = point if done else None
             continue
-        before, fall = fall, chi2 - step.chi2
-        # Near the minimum each step gains a like share of what the one before it gained.
+        # Near the minimum each step gains a like share of what the one before it gained; one from
+        # rough columns, or cut short, foretells nothing.
+        before, fall = gained, chi2 - step.chi2
+        gained = fall if step.full and not rough else 0.0
         expected = fall * min(max(fall / before, LEAST_SHARE), 1.0) if before > 0.0 else fall
         done = expected < tolerance * chi2 or step.chi2 < enough
         # Old columns end where they, not those of the minimum, are orthogonal to the residual.
-        if done and not fresh and len(theta) * fall > tolerance * chi2 * before:
+        serves = step.full and bool(point.rows) and fall > SERVES * step.predicted
+        far = rough or not _close(problem, step.theta, at)
+        if done and not fresh and (far or len(theta) * fall > tolerance * chi2 * before):
             done, serves = False, False
-        else:
-            serves = step.full and bool(point.rows) and fall > SERVES * step.predicted
         if not done:
             fresh = not serves
             change = step.theta - theta

@@ -18,6 +18,14 @@ from physid.effects.catalogue import CATALOGUE, places_of
 from physid.errors import ModelError
 from physid.identification.estimate import Estimate
 from physid.identification.linearisation import Linearisation, linearise
+from physid.identification.preselection import (
+    Balanced,
+    balances_of,
+    orthonormal,
+    promising_trials,
+    values_of,
+    with_shape,
+)
 from physid.identification.problem import Problem, residuals_of, with_activations
 from physid.plant.callback import run_time_laws
 from physid.plant.effect import Effect, Placed, Scales, Trial
@@ -184,6 +192,7 @@ class Ground:
     basis: np.ndarray
     remaining: np.ndarray
     scales: dict[Place, Scales]
+    balances: list[Balanced]
 
 
 def ground_of(problem: Problem, estimate: Estimate) -> Ground:
@@ -198,17 +207,8 @@ def ground_of(problem: Problem, estimate: Estimate) -> Ground:
         basis=basis,
         remaining=remaining,
         scales=scales_of(problem, estimate),
+        balances=balances_of(problem, estimate),
     )
-
-
-def orthonormal(columns: np.ndarray) -> np.ndarray:
-    """Return an orthonormal basis of the columns (m, p), those without length left out."""
-    norms = np.linalg.norm(columns, axis=0)
-    kept = columns[:, norms > 0] / norms[norms > 0]
-    if not kept.shape[1]:
-        return np.zeros((len(columns), 0))
-    u, s, _ = np.linalg.svd(kept, full_matrices=False)
-    return np.asarray(u[:, s > 1e-7 * s[0]])
 
 
 def thinned_fit(problem: Problem, estimate: Estimate) -> tuple[Problem, Estimate]:
@@ -264,7 +264,7 @@ def _scores(
     ground: Ground, effect: Effect, place: Place
 ) -> list[tuple[float, Trial, np.ndarray, np.ndarray]]:
     """Return gain, trial, amplitudes (c,) and response (m,) of every shape of an effect."""
-    trials = list(effect.trials(ground.scales[place]))
+    trials = promising_trials(ground.balances, effect, place, effect.trials(ground.scales[place]))
     responses = iter(_responses(ground, effect, place, [c for t in trials for c in t.columns]))
     found = []
     for trial in trials:
@@ -289,13 +289,8 @@ def _responses(
 
     The effect's coefficients are the only parameters of this problem, so all are run together.
     """
-    fitted = ground.problem.at(ground.estimate.theta)
-    model = fitted.with_effect(Placed(effect, place, columns[0]))
-    site = model.site(model.effects[-1])
-    names = [c.name for c in effect.coefficients]
-    parameters = tuple(model.parameter(f"{site}.{name}") for name in names)
-    changed = replace(ground.problem, model=model, parameters=parameters)
-    thetas = [np.array([float(column[name]) for name in names]) for column in columns]
+    changed = with_shape(ground.problem, ground.estimate.theta, effect, place, columns[0])
+    thetas = [values_of(changed, column) for column in columns]
     try:
         runs = residuals_of(changed, thetas, [ground.estimate.states] * len(thetas))
     except ModelError:

@@ -294,7 +294,11 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
                 if wanted:
                     rates[w, k:] = np.nan
                 break
-            for s in range(substeps):
+            # Beyond the last sample nothing is asked but the rates at it.
+            last = k == samples - 1
+            if last and not wanted:
+                break
+            for s in range(1 if last else substeps):
                 row = min(step + s, controls.shape[0] - 1)
                 for j in range(nu):
                     u[j] = min(max(controls[row, j], limits[j, 0]), limits[j, 1])
@@ -333,7 +337,7 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
                                 value += drive[i, j] * pushed[j]
                             after[i] = value
                     else:
-                        for r in range(4):
+                        for r in range(1 if last else 4):
                             c = 0.0 if r == 0 else (dt if r == 3 else 0.5 * dt)
                             if r:
                                 for i in range(n):
@@ -464,7 +468,7 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
                                 total[i] = (total[i] if r else 0.0) + weight * rate[i]
                         for i in range(n):
                             after[i] = x[i] + dt / 6.0 * total[i]
-                    if not exact or rubs + laws == 0:
+                    if last or not exact or rubs + laws == 0:
                         break
                     if cut < 0 and events < MOST_EVENTS:
                         # Does something come to rest, or to an edge, within the step; what first?
