@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from physid.criticism.refit import Base, Refit
 from physid.errors import NumericsError
@@ -50,7 +50,7 @@ def judge(judging: dict[str, Problem], base: Base, candidate: Refit) -> Judgemen
             before, after, t_values = _compare(problem, base, candidate, horizon)
         except NumericsError:
             continue
-        p_values += [float(norm.sf(t)) for t in t_values]
+        p_values += [float(ndtr(-t)) for t in t_values]
         shown[horizon] = (problem, before, after)
     if not shown:
         blank = np.full(len(candidate.problem.sigma), np.nan)

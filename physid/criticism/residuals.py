@@ -8,7 +8,7 @@ band that allows for the colour of both (Bartlett's formula).
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 LAGS = 25
 LEVEL = 0.99
@@ -35,7 +35,7 @@ def cross_correlation(residual: np.ndarray, signal: np.ndarray, lags: int = LAGS
 
 def white_band(samples: int, tests: int = 1) -> float:
     """Return the half-width of the 99 % band of a white residual's correlation, over several lags."""
-    return float(norm.ppf(1 - (1 - LEVEL) / 2 / tests) / np.sqrt(max(samples, 1)))
+    return float(ndtri(1 - (1 - LEVEL) / 2 / tests) / np.sqrt(max(samples, 1)))
 
 
 def cross_band(residual: np.ndarray, signal: np.ndarray, tests: int = 1) -> float:

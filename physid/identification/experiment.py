@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.signal import savgol_filter
+from scipy.ndimage import correlate1d
 
 from physid.errors import RecordError, available
 from physid.plant.model import Model
@@ -194,7 +194,7 @@ def kinematics_of(model: Model, channels: np.ndarray) -> Kinematics:
 
 
 def smooth_derivatives(y: np.ndarray, dt: float, width: int) -> tuple[np.ndarray, np.ndarray]:
-    """Smooth signals and their rates by local cubics.
+    """Smooth signals and their rates by local cubics; at the ends, by the nearest whole one.
 
     Parameters
     ----------
@@ -213,10 +213,21 @@ def smooth_derivatives(y: np.ndarray, dt: float, width: int) -> tuple[np.ndarray
     window = min(2 * width + 1, len(y) - (len(y) + 1) % 2)
     if window < 5:
         return y, np.gradient(y, dt, axis=0)
-    return (
-        savgol_filter(y, window, 3, axis=0),
-        savgol_filter(y, window, 3, deriv=1, delta=dt, axis=0),
-    )
+    half = window // 2
+    at = np.arange(-half, half + 1.0)
+    powers = at[:, None] ** np.arange(4)
+    rates = np.column_stack([np.zeros(window), np.ones(window), 2 * at, 3 * at**2]) / dt
+    cubic = np.linalg.pinv(powers)
+    smooth = correlate1d(y, cubic[0], axis=0)
+    rate = correlate1d(y, cubic[1] / dt, axis=0)
+    for inner, edge in (
+        (slice(0, half), slice(0, window)),
+        (slice(half + 1, None), slice(-window, None)),
+    ):
+        rows = slice(0, half) if inner.start == 0 else slice(-half, None)
+        smooth[rows] = powers[inner] @ (cubic @ y[edge])
+        rate[rows] = rates[inner] @ (cubic @ y[edge])
+    return smooth, rate
 
 
 def ranges_of(model: Model, experiments: Sequence[Experiment]) -> Ranges:

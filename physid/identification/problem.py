@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import mujoco
 import numba
 import numpy as np
-from scipy.signal import lfilter
 
 from physid.identification.windows import Windows, initial_states
 from physid.plant.family import Family, family_of
@@ -120,6 +119,8 @@ def with_activations(
         if kind == INTEGRATOR:
             path = model.opt.timestep * np.concatenate([[0.0], np.cumsum(u)])
         else:
+            from scipy.signal import lfilter  # slow to import, and few rigs need it
+
             keep = np.exp(-model.opt.timestep / plant.time_constants[i])
             path = lfilter([0.0, 1.0 - keep], [1.0, -keep], u, zi=[u[0]])[0]
         activations[:, model.actuator_actadr[i]] = path[starts * substeps]

@@ -14,7 +14,6 @@ from typing import Literal, NamedTuple
 import mujoco
 import numba
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from physid.plant.assembly import agrees, network_of
 from physid.plant.callback import run_time_laws
@@ -268,6 +267,8 @@ def between_samples(inputs: np.ndarray, substeps: int, hold: Hold) -> np.ndarray
         return np.repeat(inputs, substeps, axis=0)
     middle = np.minimum((np.arange(n * substeps) + 0.5) / substeps, n - 1)
     if hold == "smooth":
+        from scipy.interpolate import CubicSpline  # slow to import
+
         return np.asarray(CubicSpline(np.arange(n), inputs, axis=0)(middle))
     joined = [np.interp(middle, np.arange(n), column) for column in inputs.T]
     return np.column_stack(joined) if joined else np.zeros((n * substeps, 0))
