@@ -17,10 +17,10 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from physid.plant.compiling import kept
 from physid.record import Excitation, MSequence, Multisine, Record, write_record
 from physid.rigs import rig_path
 
@@ -101,7 +101,7 @@ def _run(excitation: Excitation, rng: np.random.Generator) -> Record:
     )
 
 
-@numba.njit(cache=True)
+@kept
 def simulate_truth(torque: Array, truth: Array, timestep: float, substeps: int) -> Array:
     """Angles of rotor and disc under a torque that is held between samples, from rest.
 
@@ -132,7 +132,7 @@ def simulate_truth(torque: Array, truth: Array, timestep: float, substeps: int) 
     return angles
 
 
-@numba.njit(cache=True)
+@kept
 def _advance(
     state: Array, torque: float, sliding: float, truth: Array, step: float
 ) -> tuple[Array, float]:
@@ -147,21 +147,21 @@ def _advance(
     return _runge_kutta(at_rest, torque, sliding, truth, (1.0 - part) * step), sliding
 
 
-@numba.njit(cache=True)
+@kept
 def _runge_kutta(state: Array, torque: float, sliding: float, truth: Array, step: float) -> Array:
     k1 = _rate(state, torque, sliding, truth)
     k2 = _rate(state + 0.5 * step * k1, torque, sliding, truth)
     k3 = _rate(state + 0.5 * step * k2, torque, sliding, truth)
     k4 = _rate(state + step * k3, torque, sliding, truth)
-    return state + step / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+    return np.asarray(state + step / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))
 
 
-@numba.njit(cache=True)
+@kept
 def _shaft_torque(state: Array, truth: Array) -> float:
     return float(truth[4] * (state[0] - state[1]) + truth[5] * (state[2] - state[3]))
 
 
-@numba.njit(cache=True)
+@kept
 def _direction(state: Array, sliding: float, truth: Array) -> float:
     """Sign of the disc's speed, or 0 while friction holds it."""
     if sliding != 0.0:
@@ -170,7 +170,7 @@ def _direction(state: Array, sliding: float, truth: Array) -> float:
     return float(np.sign(load)) if abs(load) > truth[6] else 0.0
 
 
-@numba.njit(cache=True)
+@kept
 def _rate(state: Array, torque: float, sliding: float, truth: Array) -> Array:
     """Time derivative of (q1, q2, w1, w2)."""
     shaft = _shaft_torque(state, truth)

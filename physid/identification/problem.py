@@ -6,10 +6,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
-import numba
 import numpy as np
 
 from physid.identification.windows import Windows, initial_states
+from physid.plant.compiling import kept
 from physid.plant.family import Family, family_of
 from physid.plant.model import Model, Plant
 from physid.plant.parameter import Parameter
@@ -182,7 +182,7 @@ def blocks_of(
                     x = [run.states[:, -1].copy() for run in runs]
 
 
-@numba.njit(cache=True, nogil=True)
+@kept(nogil=True)
 def _weighted(measured, simulated, channels, sigma):  # type: ignore[no-untyped-def]
     """Return (measured - simulated) / sigma of the measured channels, (w, samples, ny)."""
     found = np.empty(measured.shape)

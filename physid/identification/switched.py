@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import cast
 
-import numba
 import numpy as np
 
 from physid.identification.linear_plant import LinearPlant
+from physid.plant.compiling import kept
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,7 +100,7 @@ def run(
     )
 
 
-@numba.njit(cache=True)
+@kept
 def _march(steps, inputs, modes, initial, every, row, threshold):  # type: ignore[no-untyped-def]
     m, nx, width = len(inputs), steps.shape[1], steps.shape[2]
     nu = width - nx - 1

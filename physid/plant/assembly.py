@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import mujoco
-import numba
 import numpy as np
 
+from physid.plant.compiling import kept
 from physid.plant.model import Plant
 from physid.plant.network import Network, integrate
 from physid.plant.parts import read_parts
@@ -27,7 +27,7 @@ def network_of(plant: Plant, data: mujoco.MjData) -> Network | None:
     return None if parts is None else assemble(parts)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kept(error_model="numpy")
 def assemble(parts):  # type: ignore[no-untyped-def]  # noqa: C901 - three kinds of parts, one matrix
     """Put everything linear into one matrix; what is left stays an element (:class:`Network`)."""
     nv = parts.mass.shape[0]

@@ -17,14 +17,33 @@ from functools import lru_cache
 from typing import Any
 
 import mujoco
-import numba
 import numpy as np
+from llvmlite import ir  # type: ignore[import-untyped]
+from llvmlite.binding import add_symbol  # type: ignore[import-untyped]
 from numba import carray, types  # type: ignore[attr-defined]
+from numba.extending import intrinsic
 
 from physid.errors import NumericsError
+from physid.plant.compiling import kept_c_function
 from physid.plant.law import call_law, pointer_at
 from physid.plant.model import ELEMENT_WIDTH, JOINT_WIDTH, Plant
 
+_MARK = ctypes.c_double()
+_MARK_NAME = "physid_mark_of_this_process"
+
+
+def _own_mark(typingctx):  # type: ignore[no-untyped-def]
+    """Read this process's mark; compiled code that is kept finds it by name."""
+
+    def codegen(context, builder, _signature, _arguments):  # type: ignore[no-untyped-def]
+        known = builder.module.globals.get(_MARK_NAME)
+        cell = known or ir.GlobalVariable(builder.module, ir.DoubleType(), _MARK_NAME)
+        return builder.load(cell)
+
+    return types.float64(), codegen
+
+
+own_mark = intrinsic(_own_mark)
 _lock = threading.RLock()
 _HEADER = 4  # address, offset, number of joints, number of constants
 
@@ -107,10 +126,13 @@ def _callback() -> tuple[Any, float]:
     data.time = 12345.678
     words = np.ctypeslib.as_array((ctypes.c_double * 60000).from_address(data._address))
     time_at = int(np.flatnonzero(words == data.time)[0])
-    mark = float(np.random.default_rng().uniform(1e9, 1e12))
+    _MARK.value = float(np.random.default_rng().uniform(1e9, 1e12))
+    add_symbol(_MARK_NAME, ctypes.addressof(_MARK))
+    # What the code takes from here, the engine's version and layout, keys the kept code.
+    version = mujoco.mj_version()
     width, header, entry = ELEMENT_WIDTH, _HEADER, JOINT_WIDTH
 
-    @numba.cfunc(types.void(types.uintp, types.uintp))
+    @kept_c_function(types.void(types.uintp, types.uintp))
     def passive(model_address, data_address):  # type: ignore[no-untyped-def]
         model = carray(pointer_at(np.int64(model_address)), (numbers_at + 1,)).view(np.int64)
         state = carray(pointer_at(np.int64(data_address)), (force_at + time_at,))
@@ -119,7 +141,7 @@ def _callback() -> tuple[Any, float]:
         if size < 2:
             return
         table = carray(pointer_at(model[numbers_at]), (size,))
-        if table[size - 2] != mark:
+        if version < 0 or table[size - 2] != own_mark():  # type: ignore[call-arg]
             return
         nv = model[1]
         qpos = carray(pointer_at(state_words[qpos_at]), (model[0],))
@@ -141,4 +163,4 @@ def _callback() -> tuple[Any, float]:
                 at = start + header + entry * j
                 force[int(table[at + 1])] += table[at + 4] * f
 
-    return passive, mark
+    return passive, _MARK.value

@@ -11,11 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numba
 import numpy as np
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.extending import intrinsic
+
+from physid.plant.compiling import kept, kept_c_function
 
 _NUMBERS: Any = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
 LAW_SIGNATURE = types.float64(types.float64, types.float64, types.float64, _NUMBERS)
@@ -34,7 +35,7 @@ def force_law(function: Callable[..., float]) -> Any:
     numba CFunc
         ``.address`` is what elements carry; the compiled code is kept between runs.
     """
-    return numba.cfunc(LAW_SIGNATURE, cache=True, error_model="numpy")(function)
+    return kept_c_function(LAW_SIGNATURE, error_model="numpy")(function)
 
 
 def _call_law(typingctx, address, x, v, t, constants):  # type: ignore[no-untyped-def]
@@ -64,7 +65,7 @@ call_law: Any = intrinsic(_call_law)
 pointer_at: Any = intrinsic(_pointer_at)
 
 
-@numba.njit(cache=True)
+@kept
 def _evaluate(address, x, v, t, constants, out):  # type: ignore[no-untyped-def]
     pointer = pointer_at(constants.ctypes.data)
     for i in range(x.size):

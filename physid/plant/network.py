@@ -16,9 +16,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from physid.plant.compiling import kept
 from physid.plant.law import call_law, pointer_at
 
 
@@ -68,7 +68,7 @@ class Network(NamedTuple):
     law_edges: np.ndarray
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kept(nogil=True, error_model="numpy")
 def _one_step_map(linear, nv, n, h):  # type: ignore[no-untyped-def]
     """Return P (n, n), Q (n, nv + na): the Runge-Kutta step x+ = P x + Q b of x' = A x + (0, b).
 
@@ -95,7 +95,7 @@ def _one_step_map(linear, nv, n, h):  # type: ignore[no-untyped-def]
     return total, np.ascontiguousarray(drive[:, nv:])
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kept(nogil=True, error_model="numpy")
 def _several_steps(onward, drive, steps):  # type: ignore[no-untyped-def]
     """Return the map of so many steps with the same input: P^s, (1 + P + ... + P^(s-1)) Q."""
     far, pushed = np.eye(onward.shape[0]), np.zeros_like(drive)
@@ -105,7 +105,7 @@ def _several_steps(onward, drive, steps):  # type: ignore[no-untyped-def]
     return far, pushed
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kept(nogil=True, error_model="numpy")
 def _is_held(controls, first, count):  # type: ignore[no-untyped-def]
     """Say whether the inputs do not change over some steps."""
     for s in range(1, count):
@@ -115,7 +115,7 @@ def _is_held(controls, first, count):  # type: ignore[no-untyped-def]
     return True
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kept(nogil=True, error_model="numpy")
 def _move(onward, steady, driven, limits, x, after, controls, row):  # type: ignore[no-untyped-def]
     """Replace x by P x + b + B u, u within its limits."""
     n = x.size
@@ -133,7 +133,7 @@ def _move(onward, steady, driven, limits, x, after, controls, row):  # type: ign
     x[:] = after
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kept(nogil=True, error_model="numpy")
 def _integrate_linear(  # type: ignore[no-untyped-def]
     linear, onward, drive, limits, initial, controls, starts, samples, substeps, states
 ):
@@ -176,7 +176,7 @@ EDGE = 1e-12
 """How far from an edge a law is evaluated at least, as a share of the distance between its edges."""
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kept(nogil=True, error_model="numpy")
 def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per record, and hot
     net, exact, initial, controls, starts, samples, substeps, h, states, rates
 ):

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import mujoco
-import numba
 import numpy as np
 
 from physid.plant.assembly import agrees, network_of
 from physid.plant.callback import run_time_laws
+from physid.plant.compiling import kept
 from physid.plant.engine import simulate_engine
 from physid.plant.model import Model, Plant
 from physid.plant.network import Network, integrate
@@ -219,7 +219,7 @@ class Simulator:
         ]
 
 
-@numba.njit(cache=True, nogil=True)
+@kept(nogil=True)
 def _observed(states, rates, sensor_map, nv):  # type: ignore[no-untyped-def]
     """Return linear sensors' readings (w, samples, channels) of states and, if there are any, rates."""
     found = np.empty((*states.shape[:2], sensor_map.shape[0]))

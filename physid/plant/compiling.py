@@ -1,0 +1,44 @@
+"""Compiled functions, kept between runs where that is possible and harmless where it is not.
+
+Numba keeps compiled code beside the module or in the user's cache folder, keyed by the source's time
+stamp, its own version and the processor.  Where neither folder can be written it would refuse;
+here the function is compiled in every process instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numba
+
+
+def kept(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """Compile a function at its first call (``numba.njit``) and keep the code between runs."""
+
+    def wrap(plain: Callable[..., Any]) -> Any:
+        return _kept(numba.njit, plain, options)
+
+    return wrap if function is None else wrap(function)
+
+
+def kept_c_function(signature: Any, **options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Compile a C function of a signature (``numba.cfunc``) and keep the code between runs.
+
+    Values that the function takes from around it are part of the key under which it is kept.
+    """
+
+    def wrap(plain: Callable[..., Any]) -> Any:
+        def compiled(**how: Any) -> Any:
+            return numba.cfunc(signature, **how)
+
+        return _kept(compiled, plain, options)
+
+    return wrap
+
+
+def _kept(compiler: Callable[..., Any], plain: Callable[..., Any], options: dict[str, Any]) -> Any:
+    try:
+        return compiler(cache=True, **options)(plain)
+    except RuntimeError:  # no folder for it can be written
+        return compiler(**options)(plain)
