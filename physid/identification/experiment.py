@@ -57,22 +57,11 @@ class Experiment:
     @cached_property
     def period(self) -> float:
         """A typical period of the motion [s], from rms value and rms rate (Rice 1944)."""
-        smooth, rate = self.smoothed(4)
+        smooth, rate = smooth_derivatives(self.outputs, self.dt, 4)
         spread, speed = smooth.std(axis=0), rate.std(axis=0)
         moving = spread > 0
         periods = 2 * np.pi * spread[moving] / np.maximum(speed[moving], 1e-300)
         return float(np.median(periods))
-
-    def smoothed(self, width: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return smoothed outputs and their rates, (n, ny) each; see :func:`smooth_derivatives`."""
-        known: dict[int, tuple[np.ndarray, np.ndarray]] = self._smoothed
-        if width not in known:
-            known[width] = smooth_derivatives(self.outputs, self.dt, width)
-        return known[width]
-
-    @cached_property
-    def _smoothed(self) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-        return {}
 
 
 def as_experiment(
@@ -210,24 +199,43 @@ def smooth_derivatives(y: np.ndarray, dt: float, width: int) -> tuple[np.ndarray
     (ndarray (n, ny), ndarray (n, ny))
         Savitzky-Golay estimates of y and dy/dt (Anal. Chem. 36, 1964).
     """
-    window = min(2 * width + 1, len(y) - (len(y) + 1) % 2)
+    window = _window(y, width)
     if window < 5:
         return y, np.gradient(y, dt, axis=0)
     half = window // 2
-    at = np.arange(-half, half + 1.0)
-    powers = at[:, None] ** np.arange(4)
-    rates = np.column_stack([np.zeros(window), np.ones(window), 2 * at, 3 * at**2]) / dt
-    cubic = np.linalg.pinv(powers)
+    cubic = np.linalg.pinv(_powers(half)[0])
     smooth = correlate1d(y, cubic[0], axis=0)
     rate = correlate1d(y, cubic[1] / dt, axis=0)
-    for inner, edge in (
-        (slice(0, half), slice(0, window)),
-        (slice(half + 1, None), slice(-window, None)),
-    ):
-        rows = slice(0, half) if inner.start == 0 else slice(-half, None)
-        smooth[rows] = powers[inner] @ (cubic @ y[edge])
-        rate[rows] = rates[inner] @ (cubic @ y[edge])
+    for ends in (np.arange(half), np.arange(len(y) - half, len(y))):
+        smooth[ends], rate[ends] = smooth_at(y, dt, width, ends)
     return smooth, rate
+
+
+def smooth_at(
+    y: np.ndarray, dt: float, width: int, at: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return what :func:`smooth_derivatives` does, at some samples alone, (k, ny) each."""
+    window = _window(y, width)
+    if window < 5:
+        return y[at], np.gradient(y, dt, axis=0)[at]
+    half = window // 2
+    first = np.clip(at - half, 0, len(y) - window)
+    powers, rates = _powers(half)
+    fitted = np.linalg.pinv(powers) @ y[first[:, None] + np.arange(window)]
+    own = at - first
+    smooth = np.einsum("kc,kcy->ky", powers[own], fitted)
+    return smooth, np.einsum("kc,kcy->ky", rates[own], fitted) / dt
+
+
+def _window(y: np.ndarray, width: int) -> int:
+    return int(min(2 * width + 1, len(y) - (len(y) + 1) % 2))
+
+
+def _powers(half: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the powers 0 to 3 of the places in a window and their rates, (window, 4) each."""
+    at = np.arange(-half, half + 1.0)
+    zero, one = np.zeros_like(at), np.ones_like(at)
+    return at[:, None] ** np.arange(4), np.column_stack([zero, one, 2 * at, 3 * at**2])
 
 
 def ranges_of(model: Model, experiments: Sequence[Experiment]) -> Ranges:
@@ -237,7 +245,8 @@ def ranges_of(model: Model, experiments: Sequence[Experiment]) -> Ranges:
     inputs = np.zeros(len(model.structure.inputs))
     for experiment in experiments:
         kin = kinematics_of(model, experiment.channels)
-        y, rate = experiment.outputs, experiment.smoothed(4)[1]
+        y = experiment.outputs
+        rate = smooth_derivatives(y, experiment.dt, 4)[1]
         seen = np.linalg.pinv(kin.position)
         position = np.maximum(position, np.abs(seen @ y.T).max(axis=1))
         speed = np.maximum(speed, np.abs(seen @ rate.T).max(axis=1))

@@ -184,20 +184,14 @@ def _quick_start(problem: Problem, extra: Sequence[np.ndarray]) -> Start | None:
 
 
 def _evenly(problem: Problem, most: int) -> Problem:
-    """Keep about so many samples, in three windows of every record at least."""
+    """Keep three windows or more of every record, evenly spread and none too long: so many samples."""
     share = most / sum(len(w.starts) * w.samples for w in problem.windows)
-    return problem.with_windows(
-        [
-            w.take(
-                np.unique(
-                    np.linspace(0, len(w.starts) - 1, max(3, int(share * len(w.starts)))).astype(
-                        int
-                    )
-                )
-            )
-            for w in problem.windows
-        ]
-    )
+    found = []
+    for w in problem.windows:
+        count = max(3, int(share * len(w.starts)))
+        kept = w.take(np.unique(np.linspace(0, len(w.starts) - 1, count).astype(int)))
+        found.append(replace(kept, samples=min(w.samples, 2 * most)))
+    return problem.with_windows(found)
 
 
 def _distinct(points: Sequence[np.ndarray]) -> list[np.ndarray]:

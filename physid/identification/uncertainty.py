@@ -90,45 +90,65 @@ def long_run_scores(
     ``blocks`` are the columns once more, now that it is known what the initial states take of each.
     """
     ny, p = len(problem.sigma), len(estimate.theta)
-    scores = [np.empty((len(w.starts), w.samples, p)) for w in problem.windows]
-    remaining = [np.empty_like(r) for r in estimate.residuals]
     taken = [
         solver @ np.concatenate([columns, target[:, :, None]], axis=2)
         for solver, columns, target in zip(point.solvers, point.states, point.targets, strict=True)
     ]
+    sums = [LongRun(p, _lags(r)) for r in estimate.residuals]
     for block, found in blocks:
         share = taken[block.experiment][block.windows]
         nx = share.shape[1]
         rest = found[:, :, nx:] - found[:, :, :nx] @ share
-        w, samples = len(rest), block.samples.stop - block.samples.start
-        left = rest[:, :, -1]
-        products = (rest[:, :, :-1] * left[:, :, None]).reshape(w, samples, ny, p)
-        scores[block.experiment][block.windows, block.samples] = products.sum(axis=2)
-        remaining[block.experiment][block.windows, block.samples] = left.reshape(w, samples, ny)
+        scores = rest[:, :, :-1] * rest[:, :, -1:]
+        sums[block.experiment].add(scores.reshape(-1, ny, p).sum(axis=1))
+    total = np.sum([s.total() for s in sums], axis=0)
     dof = max(1.0, problem.measurements() - p - _free_states(problem))
-    total = np.zeros((p, p))
-    for score, left in zip(scores, remaining, strict=True):
-        series, rows = score.reshape(-1, p), left.reshape(-1, ny)
-        width = int(np.ceil(3 * max(correlation_time(rows[:, k]) for k in range(ny))))
-        total += bartlett(series, min(width, len(series) // 8, WIDEST))
     for k, parameter in enumerate(problem.parameters):
         if parameter.prior is not None:
             total[k, k] += parameter.prior[1] ** -2
     return np.asarray(total * problem.measurements() / dof)
 
 
-def bartlett(scores: np.ndarray, width: int) -> np.ndarray:
-    """Return the Bartlett-kernel sum of autocovariances of a series (n, p) up to a lag.
+def _lags(residual: np.ndarray) -> int:
+    """Return how many lags of a residual (w, samples, ny) the kernel spans."""
+    rows = residual.reshape(-1, residual.shape[2])
+    width = int(np.ceil(3 * max(correlation_time(column) for column in rows.T)))
+    return min(width, len(rows) // 8, WIDEST)
+
+
+class LongRun:
+    """The Bartlett-kernel sum of autocovariances of a series that comes in pieces.
 
     The kernel is the mean product of sums over all stretches of ``width + 1`` instants, the series
     continued by zeros: one pass, however many lags.
     """
-    n, p = scores.shape
-    sums = np.zeros((n + 2 * width + 2, p))
-    np.cumsum(scores, axis=0, out=sums[width + 1 : width + 1 + n])
-    sums[width + 1 + n :] = sums[width + n]
-    stretches = sums[width + 1 :] - sums[: n + width + 1]
-    return np.asarray(stretches.T @ stretches / (width + 1))
+
+    def __init__(self, size: int, width: int) -> None:
+        self.width = width
+        self.tail, self.products = np.zeros((width, size)), np.zeros((size, size))
+
+    def add(self, scores: np.ndarray) -> None:
+        """Go on with the series by some instants (n, p)."""
+        part = np.concatenate([self.tail, scores])
+        sums = np.cumsum(part, axis=0)
+        stretches = sums[self.width :].copy()
+        stretches[1:] -= sums[: len(stretches) - 1]
+        self.products += stretches.T @ stretches
+        self.tail = part[len(part) - self.width :]
+
+    def total(self) -> np.ndarray:
+        """Return the sum (p, p) for the series so far."""
+        after = LongRun(len(self.products), self.width)
+        after.tail = self.tail
+        after.add(np.zeros_like(self.tail))
+        return np.asarray((self.products + after.products) / (self.width + 1))
+
+
+def bartlett(scores: np.ndarray, width: int) -> np.ndarray:
+    """Return the Bartlett-kernel sum of autocovariances of a series (n, p) up to a lag."""
+    found = LongRun(scores.shape[1], width)
+    found.add(scores)
+    return found.total()
 
 
 def _free_states(problem: Problem) -> int:

@@ -15,6 +15,7 @@ import numpy as np
 from physid.identification.experiment import (
     Experiment,
     kinematics_of,
+    smooth_at,
 )
 from physid.plant.model import Model
 from physid.plant.simulation import Simulator
@@ -112,7 +113,8 @@ def initial_states(model: Model, windows: Windows) -> np.ndarray:
     experiment, structure, compiled = windows.experiment, model.structure, model.nominal
     kin = kinematics_of(model, experiment.channels)
     width = max(3, min(15, windows.samples // 4))
-    y, rate = experiment.smoothed(width)
+    at = windows.starts
+    y, rate = smooth_at(experiment.outputs, experiment.dt, width, at)
     links = [tendon_row(compiled, i) for i in range(compiled.ntendon)]
     stiff = [
         row for i, row in enumerate(links) if row is not None and compiled.tendon_stiffness[i] > 0
@@ -121,12 +123,11 @@ def initial_states(model: Model, windows: Windows) -> np.ndarray:
     weight, faint = 1e-3, 1e-6 * np.eye(structure.nv)
     zeros = np.zeros((len(soft) + structure.nv, len(windows.starts)))
     system = np.vstack([kin.position, weight * soft, faint])
-    at = windows.starts
-    position = np.linalg.lstsq(system, np.vstack([y[at].T, zeros]), rcond=None)[0]
+    position = np.linalg.lstsq(system, np.vstack([y.T, zeros]), rcond=None)[0]
     system = np.vstack([kin.position, kin.speed, weight * soft, faint])
     speed = np.linalg.lstsq(
         system,
-        np.vstack([rate[at].T * moves(kin.position), y[at].T * moves(kin.speed), zeros]),
+        np.vstack([rate.T * moves(kin.position), y.T * moves(kin.speed), zeros]),
         rcond=None,
     )[0]
     states = np.tile(np.concatenate([compiled.qpos0, np.zeros(structure.nv)]), (len(at), 1))
