@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 
 from physid.effects.catalogue import load_model
 from physid.errors import InputError
+from physid.identification.change_points import fit_steps
 from physid.identification.compression import compress
 from physid.identification.constraints import Bound, variance_bound
 from physid.identification.instruments import compensated, equations, instrumental
@@ -19,7 +20,7 @@ from physid.identification.movement import in_proportion, levels, steps
 from physid.identification.reduction import reduce
 from physid.identification.regression import Regression
 from physid.identification.regression_fit import parse_varying
-from physid.identification.stepping_fit import Modes, fit_steps
+from physid.identification.stepping_fit import Modes
 from physid.identification.switched import Course, simulate
 from physid.identification.varying import conic, free, scheduled, total_variation
 from physid.identification.whitening import Noise, cramer_rao, staged
