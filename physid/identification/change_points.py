@@ -35,6 +35,8 @@ All of them: where the element that steps is hardly loaded, the misfit has sever
 """
 NARROWER = 5
 """How much the stride shrinks at a time."""
+AHEAD = 2
+"""Steps added before it is asked whether they pay."""
 FLOOR = 1e-6
 """Residual, relative to a channel's spread, that counts as none: the simulation's own error."""
 
@@ -52,13 +54,13 @@ class _Search:
 
     @property
     def constants(self) -> int:
-        return len(self.modes.plant.names) - 1
+        return self.modes.constants
 
     def outputs(self, cuts: np.ndarray, theta: np.ndarray) -> np.ndarray:
-        return stepped(self.modes, cuts).simulation()(theta)
+        return np.asarray(stepped(self.modes, cuts).simulation()(theta))
 
     def residual(self, cuts: np.ndarray, theta: np.ndarray) -> np.ndarray:
-        return self.measured - self.outputs(cuts, theta)
+        return np.asarray(self.measured - self.outputs(cuts, theta))
 
     def seen(self, cuts: np.ndarray, theta: np.ndarray, noise: Noise) -> np.ndarray:
         """Return an orthonormal basis of what the estimates move, whitened (n ny, p + k)."""
@@ -102,12 +104,13 @@ def fit_steps(
     search, cuts = _Search(modes=modes, measured=measured), np.asarray(cuts, dtype=int)
     found = search.staged(cuts, start)
     for _ in range(ROUNDS):
-        other = _one_less(search, found, cuts) or _one_more(search, found, cuts)
+        other = _one_less(search, found, cuts)
         if other is None:
             moved = _moved(search, found.theta, cuts, found.noise)
-            if np.array_equal(moved, cuts):
-                break
-            other = moved, found.theta
+            stays = np.array_equal(moved, cuts)
+            other = _more(search, found, cuts) if stays else (moved, found.theta)
+        if other is None:
+            break
         cuts, found = other[0], search.staged(*other)
     return found, cuts
 
@@ -147,32 +150,37 @@ def _around(search: _Search, cuts: np.ndarray, j: int, stride: int) -> list[np.n
     return found
 
 
-def _one_more(
+def _more(
     search: _Search, found: Whitened, cuts: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return cuts and a start with one step more, where one pays; None where none does."""
-    if len(cuts) + 1 >= MOST_SEGMENTS:
-        return None
-    place = _likeliest(search, found, cuts)
-    if place is None:
-        return None
-    j = int(np.searchsorted(cuts, place))
-    more = np.insert(cuts, j, place)
-    k = search.constants + j
-    theta = search.fitted(more, np.insert(found.theta, k, found.theta[k]), found.noise)
-    more = _moved(search, theta, more, found.noise)
-    theta = search.fitted(more, theta, found.noise)
-    richer = search.residual(more, theta)
-    pays = _gain(richer, found.residual, search) > _price(richer, search)
-    return (more, theta) if pays else None
+    """Return cuts and a start with one step more, or two, where that pays; None where it does not.
+
+    Two, because of a step up and one down each alone may explain nothing.
+    """
+    more, theta, residual = cuts, found.theta, found.residual
+    for added in range(1, AHEAD + 1):
+        place = _likeliest(search, theta, residual, more, found.noise)
+        if place is None or len(more) + 1 >= MOST_SEGMENTS:
+            return None
+        j = int(np.searchsorted(more, place))
+        more, k = np.insert(more, j, place), search.constants + j
+        theta = search.fitted(more, np.insert(theta, k, theta[k]), found.noise)
+        more = _moved(search, theta, more, found.noise)
+        theta = search.fitted(more, theta, found.noise)
+        residual = search.residual(more, theta)
+        if _gain(residual, found.residual, search) > added * _price(residual, search):
+            return more, theta
+    return None
 
 
-def _likeliest(search: _Search, found: Whitened, cuts: np.ndarray) -> int | None:
+def _likeliest(
+    search: _Search, theta: np.ndarray, residual: np.ndarray, cuts: np.ndarray, noise: Noise
+) -> int | None:
     """Return the place at which a step explains most of the residual, None where it is not worth it."""
-    n, noise, theta = search.samples, found.noise, found.theta
-    left = noise.whiten(found.residual)
+    n = search.samples
+    left = noise.whiten(residual)
     basis = search.seen(cuts, theta, noise)
-    base, least = search.measured - found.residual, max(int(SHORTEST * n), 1)
+    base, least = search.measured - residual, max(int(SHORTEST * n), 1)
     places = np.unique(np.linspace(0, n, min(n, COARSE) + 1).astype(int))
     best, chosen = 0.0, None
     for place in places:
@@ -191,8 +199,8 @@ def _likeliest(search: _Search, found: Whitened, cuts: np.ndarray) -> int | None
         gain = float(column @ left.ravel()) ** 2 / own if own > 1e-9 * size else 0.0
         if gain > best:
             best, chosen = gain, int(place)
-    worth = best / float(np.mean(_colours(found.residual))) > _price(found.residual, search)
-    return chosen if worth else None
+    # Not discounted for colour, which a step that is missing makes by itself: the refit decides.
+    return chosen if best > _price(residual, search) else None
 
 
 def _one_less(

@@ -5,7 +5,7 @@ Where steps are and how many is :mod:`physid.identification.change_points`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -28,24 +28,40 @@ class Modes:
     varying : int
         Which of the plant's parameters varies.
     course : Course
-        Its ``modes`` say which value holds when.
+        Its ``modes`` say which value holds when; it starts at its ``initial`` state, or near it.
     sensors : ndarray (ny, 1 + 3 nv)
+    sizes : ndarray (2 nv,), optional
+        Where the initial state is estimated: sizes of its entries.  theta then has, between constants
+        and values, a number per entry, one of which is the course's own and each more a size.
     """
 
     plant: LinearPlant
     varying: int
     course: Course
     sensors: np.ndarray
+    sizes: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def constants(self) -> int:
+        """How many entries of theta stand before the values."""
+        return len(self.plant.names) - 1 + len(self.sizes)
 
     def split(self, theta: np.ndarray) -> list[np.ndarray]:
         """Turn (constants, one value per mode) into the plant's parameters of each mode."""
         p = len(self.plant.names) - 1
-        return [np.insert(theta[:p], self.varying, value) for value in theta[p:]]
+        return [np.insert(theta[:p], self.varying, value) for value in theta[self.constants :]]
+
+    def started(self, theta: np.ndarray) -> Course:
+        """Return the course from the initial state that theta says."""
+        if not len(self.sizes):
+            return self.course
+        offset = self.sizes * (theta[self.constants - len(self.sizes) : self.constants] - 1.0)
+        return replace(self.course, initial=self.course.initial + offset)
 
     def simulation(self, switch: Switch | None = None) -> Simulation:
         """Return the map from (constants, values) to the outputs."""
         return lambda theta: simulate(
-            self.plant, self.split(theta), self.course, self.sensors, switch
+            self.plant, self.split(theta), self.started(theta), self.sensors, switch
         )
 
 

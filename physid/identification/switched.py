@@ -36,6 +36,8 @@ class Course:
         Which mode holds on each step; not used under a :class:`Switch`.
     initial : ndarray (2 nv,)
         State at the start.
+    readings : ndarray (n, nu), optional
+        Inputs right at the samples, for accelerations; those of the step that begins there if not given.
     """
 
     inputs: np.ndarray
@@ -43,6 +45,7 @@ class Course:
     every: int
     modes: np.ndarray
     initial: np.ndarray
+    readings: np.ndarray | None = None
 
 
 def simulate(
@@ -70,7 +73,8 @@ def simulate(
     ndarray (n, ny)
     """
     states, modes = run(plant, thetas, course, switch)
-    u = course.inputs[:: course.every][: len(states)]
+    held = course.inputs[:: course.every] if course.readings is None else course.readings
+    u = held[: len(states)]
     rates = np.array([plant.rates(theta) for theta in thetas])
     full = np.hstack([np.ones((len(states), 1)), states, u])
     acceleration = np.einsum("nij,nj->ni", rates[modes], full)

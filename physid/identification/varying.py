@@ -20,7 +20,6 @@ from physid.errors import InputError
 from physid.identification.constraints import Bound, Constraint, check_feasible
 from physid.identification.lmi import run, solve
 from physid.identification.reduction import Reduced
-from physid.identification.segmentation import Segmentation, standard_errors
 
 BLIND = 1e-7
 """Singular value, relative to the largest, below which a direction of parameters is not identified."""
@@ -289,12 +288,11 @@ def _cone(
         - cp.multiply(reduced.slope * size / force, v)
     )
     goal = cp.sum_squares(common) + cp.sum_squares(along)
-    for weight, penalty in zip(
-        penalties,
-        (lambda: cp.norm1(cp.diff(v)), lambda: cp.sum_squares(cp.diff(v, 2))),
-        strict=True,
-    ):
-        goal += weight * (unit / force) ** 2 * penalty() if weight else 0.0
+    heavier = (unit / force) ** 2
+    if penalties[0]:
+        goal += heavier * penalties[0] * cp.norm1(cp.diff(v))
+    if penalties[1]:
+        goal += heavier * penalties[1] * cp.sum_squares(cp.diff(v, 2))
     built = [c for constraint in constraints for c in constraint.build(theta)]
     problem = cp.Problem(cp.Minimize(goal), built)
     run(problem, CONIC)
@@ -344,59 +342,3 @@ def smooth_weight(reduced: Reduced, length: float) -> float:
     rough = _rough(reduced)
     information = np.mean(reduced.slope**2) * (rough[-1] / _force(reduced, rough)) ** 2
     return float(information / (2.0 * np.sin(np.pi * dt / length)) ** 4)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Scheduled:
-    """A parameter as constant + slope times a measured variable (LPV).
-
-    Parameters
-    ----------
-    theta : ndarray (p,)
-        The constant parameters.
-    coefficients, std_error : ndarray (2,)
-        Constant and slope.
-    values : ndarray (n,)
-    cost : float
-    proportional : bool
-        Whether the constant is nothing within three standard errors or half a per cent of the rest.
-    """
-
-    theta: np.ndarray
-    coefficients: np.ndarray
-    std_error: np.ndarray
-    values: np.ndarray
-    cost: float
-    proportional: bool
-
-
-def scheduled(reduced: Reduced, variable: np.ndarray, correlation: float = 1.0) -> Scheduled:
-    """Fit a parameter as a straight line in a measured variable (n,)."""
-    columns = np.column_stack([np.ones(reduced.samples), variable])
-    joint = reduced.joint(columns, (f"{reduced.name}#constant", f"{reduced.name}#slope"))
-    theta = solve(joint).theta
-    std = standard_errors(joint, theta, correlation)
-    p = len(reduced.names)
-    constant, slope = theta[p:]
-    spread = float(np.sqrt(np.mean((slope * variable) ** 2)))
-    return Scheduled(
-        theta=theta[:p],
-        coefficients=theta[p:],
-        std_error=std[p:],
-        values=columns @ theta[p:],
-        cost=joint.cost(theta),
-        proportional=bool(abs(constant) <= max(3.0 * std[p], 5e-3 * spread)),
-    )
-
-
-__all__ = [
-    "Free",
-    "Interval",
-    "Scheduled",
-    "Segmentation",
-    "conic",
-    "free",
-    "scheduled",
-    "smooth_weight",
-    "total_variation",
-]

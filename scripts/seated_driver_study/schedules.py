@@ -9,9 +9,9 @@ import numpy as np
 from physid.identification.lmi import solve
 from physid.identification.movement import in_proportion, levels
 from physid.identification.reduction import reduce
+from physid.identification.schedule import scheduled
 from physid.identification.stepping_fit import Modes, fit_switch
 from physid.identification.switched import Switch
-from physid.identification.varying import scheduled
 from seated_driver_study.rig import (
     D4,
     K4,
