@@ -18,6 +18,7 @@ from physid.identification.segmentation import COARSE, MOST_SEGMENTS, SHORTEST
 from physid.identification.stepping_fit import Modes, stepped
 from physid.identification.whitening import (
     DIFFERENCE,
+    PASSES,
     Noise,
     Whitened,
     minimise,
@@ -35,6 +36,8 @@ All of them: where the element that steps is hardly loaded, the misfit has sever
 """
 NARROWER = 5
 """How much the stride shrinks at a time."""
+ROUGH = 2
+"""Passes of noise and fit while change points are looked for."""
 AHEAD = 2
 """Steps added before it is asked whether they pay."""
 FLOOR = 1e-6
@@ -69,8 +72,8 @@ class _Search:
         size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
         return np.asarray(np.linalg.qr(columns / size)[0])
 
-    def staged(self, cuts: np.ndarray, start: np.ndarray) -> Whitened:
-        return staged(stepped(self.modes, cuts).simulation(), self.measured, start)
+    def staged(self, cuts: np.ndarray, start: np.ndarray, passes: int = ROUGH) -> Whitened:
+        return staged(stepped(self.modes, cuts).simulation(), self.measured, start, passes=passes)
 
     def fitted(self, cuts: np.ndarray, start: np.ndarray, noise: Noise) -> np.ndarray:
         """Refit all values for a given noise."""
@@ -112,7 +115,7 @@ def fit_steps(
         if other is None:
             break
         cuts, found = other[0], search.staged(*other)
-    return found, cuts
+    return search.staged(cuts, found.theta, PASSES), cuts
 
 
 def _moved(search: _Search, theta: np.ndarray, cuts: np.ndarray, noise: Noise) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from physid.identification.linear_plant import LinearPlant
-from physid.identification.switched import Course, Switch, simulate
+from physid.identification.switched import Course, Matrices, Switch, simulate
 from physid.identification.whitening import Simulation, Whitened, staged
 
 NEARBY = 0.02
@@ -40,6 +40,7 @@ class Modes:
     course: Course
     sensors: np.ndarray
     sizes: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    _known: dict[float, dict[bytes, Matrices]] = field(default_factory=dict, repr=False)
 
     @property
     def constants(self) -> int:
@@ -60,8 +61,10 @@ class Modes:
 
     def simulation(self, switch: Switch | None = None) -> Simulation:
         """Return the map from (constants, values) to the outputs."""
+        # Most steps of a sensitivity leave the matrices of most modes as they are.
+        known = self._known.setdefault(self.course.dt, {})
         return lambda theta: simulate(
-            self.plant, self.split(theta), self.started(theta), self.sensors, switch
+            self.plant, self.split(theta), self.started(theta), self.sensors, switch, known
         )
 
 
