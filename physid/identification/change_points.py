@@ -27,7 +27,7 @@ from physid.identification.whitening import (
     staged,
 )
 
-ROUNDS = 12
+ROUNDS = 8
 """Change points added, dropped, or sets of them moved, at most."""
 NEAR = 25
 """Places on either side that are tried for a change point, at strides that shrink to one sample.
