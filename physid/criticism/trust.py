@@ -83,8 +83,14 @@ def _entry(found: RegressionFit, trajectory: Trajectory | None, beside: Beside) 
                 "lmi": finite(lmi),
                 "output_error": finite(value),
                 "cramer_rao": finite(bound),
+                "instrumental": None
+                if beside.instrumental is None
+                else finite(beside.instrumental[k]),
+                "compensated": None
+                if beside.compensated is None
+                else finite(beside.compensated[k]),
             }
-            for name, lmi, value, bound in pieces
+            for k, (name, lmi, value, bound) in enumerate(pieces)
         ],
         "places": [float(x) for x in beside.places],
         "values": [float(x) for x in beside.values],

@@ -13,12 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from physid.errors import ModelError
+from physid.errors import ConvergenceError, ModelError
 from physid.identification.change_points import fit_steps
 from physid.identification.experiment import Experiment, ranges_of
 from physid.identification.fitting import fit_study
+from physid.identification.instruments import compensated, instrumental
 from physid.identification.linear_plant import linear_plant
-from physid.identification.motion import sensor_map
+from physid.identification.motion import measured_motion, sensor_map
 from physid.identification.problem import Problem, residuals_of
 from physid.identification.regression_fit import RegressionFit, Trajectory
 from physid.identification.stepping_fit import Modes, fit_switch, stepped
@@ -52,6 +53,9 @@ class Beside:
     places : ndarray (k - 1,)
         Times of its steps [s], or its threshold in the variable's unit.
     values, values_error : ndarray (k,)
+    instrumental, compensated : ndarray (p,), optional
+        The constants by the equations of motion, with the simulated motion as instruments, and with the
+        bias of the noise found taken away; where the rig is linear and its motion is measured.
     """
 
     names: tuple[str, ...]
@@ -64,6 +68,8 @@ class Beside:
     places: np.ndarray
     values: np.ndarray
     values_error: np.ndarray
+    instrumental: np.ndarray | None = None
+    compensated: np.ndarray | None = None
 
 
 def constant_beside(found: RegressionFit, records: list[object], options: Options) -> Beside:
@@ -84,17 +90,45 @@ def constant_beside(found: RegressionFit, records: list[object], options: Option
     simulation, start, measured = _whole(problem, fitted.estimate.theta, fitted.estimate.states)
     best = staged(simulation, measured, start)
     ends = np.cumsum([w.experiment.samples for w in problem.windows])[:-1]
+    residual = np.split(best.residual, ends)
+    by_instruments, without_bias = _corrected(found, problem, residual)
     return Beside(
         names=names,
         theta=best.theta[:p][order],
         std_error=best.std_error[:p][order],
-        residual=tuple(np.split(best.residual, ends)),
+        residual=tuple(residual),
         inputs=tuple(w.experiment.inputs for w in problem.windows),
         settled=best.settled,
         places=np.zeros(0),
         values=np.zeros(0),
         values_error=np.zeros(0),
+        instrumental=by_instruments,
+        compensated=without_bias,
     )
+
+
+def _corrected(
+    found: RegressionFit, problem: Problem, residual: list[np.ndarray]
+) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Return the constants by instruments and by compensation; None where neither can be had."""
+    seen, driven = [], []
+    for windows, left in zip(problem.windows, residual, strict=True):
+        experiment = windows.experiment
+        simulated = replace(experiment, outputs=experiment.outputs - left)
+        for e, rows in ((experiment, seen), (simulated, driven)):
+            motion = measured_motion(found.model, e)
+            if motion is None:
+                return None, None
+            rows.append(
+                np.hstack([motion.position, motion.speed, motion.acceleration, motion.inputs])
+            )
+    measured, clean = np.vstack(seen), np.vstack(driven)
+    sigma = np.std(measured - clean, axis=0)  # nothing in the inputs, which both have
+    try:
+        plant = linear_plant(found.model, found.parameters)
+        return instrumental(plant, measured, clean), compensated(plant, measured, sigma)
+    except (ModelError, ConvergenceError):
+        return None, None
 
 
 def _whole(

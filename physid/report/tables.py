@@ -151,14 +151,17 @@ def beside(entries: object, caption: str = "") -> Table:
         Column(heading="Equations of motion", numeric=True),
         Column(heading="Output error", numeric=True),
         Column(heading="Cramer-Rao bound", numeric=True),
+        Column(heading="Instruments", numeric=True, page_only=True),
+        Column(heading="Bias compensated", numeric=True, page_only=True),
         Column(heading="Unit"),
     ]
+    estimates = ("lmi", "output_error", "cramer_rao", "instrumental", "compensated")
     rows = [
         (
             "",
             [
                 text(entry.get("name")),
-                *(given(number(entry.get(k))) for k in ("lmi", "output_error", "cramer_rao")),
+                *(given(number(entry.get(k))) for k in estimates),
                 text(entry.get("unit")) or MISSING,
             ],
         )
