@@ -111,7 +111,8 @@ def _corrected(
     found: RegressionFit, problem: Problem, residual: list[np.ndarray]
 ) -> tuple[np.ndarray | None, np.ndarray | None]:
     """Return the constants by instruments and by compensation; None where neither can be had."""
-    seen, driven = [], []
+    seen: list[np.ndarray] = []
+    driven: list[np.ndarray] = []
     for windows, left in zip(problem.windows, residual, strict=True):
         experiment = windows.experiment
         simulated = replace(experiment, outputs=experiment.outputs - left)
