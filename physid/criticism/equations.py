@@ -10,6 +10,7 @@ import numpy as np
 
 from physid.criticism.account import finite, parameter_rows
 from physid.criticism.comparison import Result, compare
+from physid.criticism.trust import output_errors, speed_unit
 from physid.errors import NumericsError
 from physid.identification.regression_fit import (
     RegressionFit,
@@ -41,7 +42,8 @@ def fit_equations(
     Returns
     -------
     Result
-        Schema ``physid.fit/1`` with ``method`` "lmi", ``varying`` and the share of each joint's
+        Schema ``physid.fit/1`` with ``method`` "lmi", ``varying``, staged output error beside it with
+        the Cramer-Rao bound and which to trust (``output_error``), and the share of each joint's
         force that is left (``force_balance``).
 
     Raises
@@ -54,23 +56,27 @@ def fit_equations(
     found = fit_regression(
         model, records, varying=[parse_varying(v) for v in varying], options=settings
     )
-    settings.report("simulating the records", 0.6)
+    settings.report("fitting by output error beside it", 0.4)
+    beside, reasons = output_errors(found, records, settings)
+    settings.report("simulating the records", 0.8)
     channels, rows, notes = _simulated(found, records, settings)
     data = {
         "schema": "physid.fit/1",
         "method": "lmi",
         "status": f"Solved as {found.solution.form.replace('_', ' ')}.",
         "parameters": _parameters(found),
-        "varying": [_varying(t) for t in found.trajectories],
+        "output_error": beside,
+        "varying": [_varying(t, found, beside) for t in found.trajectories],
         "channels": channels,
         "records": rows,
         "force_balance": {
             "residual": {k: finite(v) for k, v in found.residual.items()},
             "width": found.width,
         },
-        "notes": [*found.notes, *notes, *_trust(found)],
+        "notes": [*found.notes, *notes, *_limits(found), *reasons],
     }
     sentences = [t.movement.sentence for t in found.trajectories if t.movement]
+    sentences += [str(entry["sentence"]) for entry in beside]
     if sentences:
         data["sentence"] = " ".join(sentences)
     return Result(data=data, curves=_curves(found), model=found.fitted)
@@ -86,8 +92,16 @@ def _parameters(found: RegressionFit) -> list[dict[str, object]]:
     return rows
 
 
-def _varying(trajectory: Trajectory) -> dict[str, object]:
+def _varying(
+    trajectory: Trajectory, found: RegressionFit, beside: Sequence[dict[str, Any]]
+) -> dict[str, object]:
+    """Return a varying parameter; its evidence is by whichever estimate is to be trusted."""
     moved = trajectory.movement
+    unit = next(p.unit for p in found.parameters if p.name == trajectory.name)
+    effects = moved.effects(speed_unit(unit)) if moved else []
+    trusted = [
+        e for e in beside if e["varying"] == trajectory.name and e["trust"] == "output_error"
+    ]
     return {
         "name": trajectory.name,
         "kind": trajectory.kind,
@@ -96,7 +110,8 @@ def _varying(trajectory: Trajectory) -> dict[str, object]:
         "places": [float(x) for x in moved.places] if moved else [],
         "values": [float(x) for x in moved.values] if moved else [],
         "variable": moved.variable if moved else "",
-        "effects": moved.effects() if moved else [],
+        "effects": trusted[0]["effects"] if trusted else effects,
+        "effects_by": "output_error" if trusted else "lmi",
         "unidentified": [
             {"name": i.name, "lower": i.lower, "upper": i.upper} for i in trajectory.intervals
         ],
@@ -121,23 +136,17 @@ def _simulated(
     return run.data["channels"], run.data["records"], []
 
 
-def _trust(found: RegressionFit) -> list[str]:
-    """Say how far the regression is to be trusted."""
+def _limits(found: RegressionFit) -> list[str]:
+    """Say what the figures of the regression do not tell."""
     if found.width:
         return [
             f"Speeds and accelerations were derived from positions smoothed over {found.width:.3g} s."
         ]
-    share = max(found.residual.values())
-    if share < 0.01:
-        return []
     if found.trajectories:
         return [
             "Channels and force balance are those of the best constant values; what varies is under `varying`."
         ]
-    return [
-        f"{100 * share:.0f} % of a joint's force is left: noise in the regressors biases these values. Trust a "
-        "fit by simulation (--method simulation) more; its standard errors hold."
-    ]
+    return []
 
 
 def _curves(found: RegressionFit) -> dict[str, np.ndarray]:

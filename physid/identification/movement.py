@@ -13,8 +13,8 @@ from scipy.special import gammaln
 from scipy.stats import chi2
 
 from physid.identification.reduction import Reduced
+from physid.identification.schedule import Scheduled
 from physid.identification.segmentation import FLOOR, Segmentation, chosen, segment
-from physid.identification.varying import Scheduled
 
 SPRINGS = ("stiffness", "kp")
 DAMPERS = ("damping", "kv")
@@ -35,6 +35,8 @@ class Movement:
         Times of the steps [s], or thresholds in the variable's unit.
     values : ndarray (k,)
         Of the parameter in each segment.
+    std_error : ndarray (k,)
+        Of the values, for the colour of the residual; noise in the regressors not counted.
     variable : str
         What it moves with.
     """
@@ -45,30 +47,78 @@ class Movement:
     p_value: float
     places: np.ndarray
     values: np.ndarray
+    std_error: np.ndarray
     variable: str
 
-    def effects(self) -> list[dict[str, object]]:
-        """Return the effects this speaks for, as the contract writes them; empty where there is none.
-
-        A step of a stiffness is ``stiffness_change``, two levels of a damping ``switched_damping``.
-        """
-        element, attribute = self.parameter.rsplit(".", 1)
-        if len(self.places) == 0 or not self.values[0]:
+    def effects(self, speed: str = "m/s") -> list[dict[str, object]]:
+        """Return the effects this speaks for; see :func:`evidence`."""
+        if self.kind not in ("steps", "levels"):
             return []
-        factor = float(self.values[1] / self.values[0])
-        if self.kind == "steps" and attribute in SPRINGS:
-            return [_effect("stiffness_change", element, factor, "time", self.places[0], "s")]
-        if self.kind == "levels" and attribute in DAMPERS and len(self.places) == 1:
-            return [_effect("switched_damping", element, factor, "speed", self.places[0], "m/s")]
-        return []
+        return evidence(self.parameter, self.kind, self.places, self.values, self.std_error, speed)
+
+
+def evidence(
+    parameter: str,
+    kind: str,
+    places: np.ndarray,
+    values: np.ndarray,
+    std_error: np.ndarray,
+    speed: str = "m/s",
+) -> list[dict[str, object]]:
+    """Write steps and levels as the effects they speak for, in the contract's form.
+
+    A step of a stiffness is ``stiffness_change``: factor and time.  Each step has one, relative to the
+    value before it, so that the factors multiply.  Two levels of a damping are ``switched_damping``:
+    factor and speed, relative to the value below the threshold.
+
+    Parameters
+    ----------
+    parameter : str
+        ``ELEMENT.ATTRIBUTE``
+    kind : {"steps", "levels"}
+    places : ndarray (k - 1,)
+        Times [s], or thresholds in the variable's unit.
+    values, std_error : ndarray (k,)
+        Of the parameter in each segment; an error that is not known is not finite.
+    speed : str
+        Unit of a threshold.
+
+    Returns
+    -------
+    list of dict
+        Empty where no effect of the catalogue's moves so.
+    """
+    element, attribute = parameter.rsplit(".", 1)
+    stiff = kind == "steps" and attribute in SPRINGS
+    damped = kind == "levels" and attribute in DAMPERS and len(places) == 1
+    name, other = ("stiffness_change", "time") if stiff else ("switched_damping", "speed")
+    unit = "s" if stiff else speed
+    return [
+        _effect(name, element, _ratio(values, std_error, k), other, float(places[k]), unit)
+        for k in range(len(places) if stiff or damped else 0)
+        if values[k]
+    ]
+
+
+def _ratio(values: np.ndarray, std_error: np.ndarray, k: int) -> tuple[float, float | None]:
+    """Return value k + 1 over value k and its standard error, the two taken as independent."""
+    factor = float(values[k + 1] / values[k])
+    relative = std_error[k : k + 2] / np.where(values[k : k + 2] != 0, values[k : k + 2], np.inf)
+    error = abs(factor) * float(np.hypot(*relative)) if len(relative) == 2 else np.inf
+    return factor, error if np.isfinite(error) else None
 
 
 def _effect(
-    name: str, location: str, factor: float, other: str, value: float, unit: str
+    name: str,
+    location: str,
+    factor: tuple[float, float | None],
+    other: str,
+    value: float,
+    unit: str,
 ) -> dict[str, object]:
     parameters = [
-        {"name": "factor", "value": factor, "unit": "1"},
-        {"name": other, "value": float(value), "unit": unit},
+        {"name": "factor", "value": factor[0], "std_error": factor[1], "unit": "1"},
+        {"name": other, "value": value, "std_error": None, "unit": unit},
     ]
     return {
         "effect": name,
@@ -141,6 +191,7 @@ def in_proportion(reduced: Reduced, found: Scheduled, label: str) -> Movement:
         p_value=p_value,
         places=np.zeros(0),
         values=found.coefficients,
+        std_error=found.std_error,
         variable=label,
     )
 
@@ -165,6 +216,7 @@ def _movement(
         p_value=significance(reduced, constant, best),
         places=places,
         values=best.values,
+        std_error=best.std_error[len(best.theta) :],
         variable=variable,
     )
 

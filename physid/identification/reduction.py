@@ -90,6 +90,12 @@ class Reduced:
         """Return t - c theta (n,): what the varying parameter must explain."""
         return np.asarray(self.target - self.rows @ theta)
 
+    def share(self, theta: np.ndarray, values: np.ndarray) -> float:
+        """Return rms(force left) / rms(force) for theta (p,) and values (n,), NaN where not known."""
+        left = self.shown(theta) - self.slope * np.nan_to_num(values)
+        whole = self.common.cost(np.zeros(len(theta))) + float(self.target @ self.target)
+        return float(np.sqrt((self.common.cost(theta) + float(left @ left)) / max(whole, 1e-300)))
+
 
 def reduce(regression: Regression, name: str) -> Reduced:
     """Split equations by whether they see one parameter.

@@ -22,9 +22,10 @@ from physid.identification.movement import Movement, in_proportion, levels, step
 from physid.identification.noise import correlation_time, noise_level
 from physid.identification.reduction import Reduced, reduce
 from physid.identification.regression import Regression, check_linear, regress
+from physid.identification.schedule import scheduled
 from physid.identification.segmentation import standard_errors
 from physid.identification.study import Options, as_model, experiments_of
-from physid.identification.varying import Interval, conic, free, scheduled, smooth_weight
+from physid.identification.varying import Interval, conic, free, smooth_weight
 from physid.plant.model import Model
 from physid.plant.parameter import Parameter
 
@@ -52,7 +53,7 @@ class Trajectory:
     """A varying parameter over the record.
 
     ``values``, ``lower`` and ``upper`` are (n,); ``intervals`` are those of constants that it leaves
-    unidentified.
+    unidentified; ``theta`` (p,) are the constants beside it, ``share`` is rms(force left) / rms(force).
     """
 
     name: str
@@ -64,6 +65,7 @@ class Trajectory:
     movement: Movement | None = None
     intervals: tuple[Interval, ...] = ()
     theta: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    share: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -308,6 +310,7 @@ def _trajectory(
         upper=values,
         movement=moved,
         theta=theta,
+        share=reduced.share(theta, values),
     )
 
 

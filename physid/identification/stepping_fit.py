@@ -1,19 +1,18 @@
-"""Output error of a linear rig with a parameter that steps or switches, from the regression's estimate.
+"""A linear rig with a parameter that steps or switches, simulated; the switch fitted by output error.
 
-Regression is biased by noise in the regressors, and may put a change point a sample off or find one
-too many.  From there everything is refitted by simulation (:mod:`physid.identification.whitening`).
+Where steps are and how many is :mod:`physid.identification.change_points`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from physid.identification.linear_plant import LinearPlant
-from physid.identification.switched import Course, Switch, simulate
-from physid.identification.whitening import Noise, Simulation, Whitened, minimise, staged
+from physid.identification.switched import Course, Matrices, Switch, simulate
+from physid.identification.whitening import Simulation, Whitened, staged
 
 NEARBY = 0.02
 """Relative half-width of the search for a threshold."""
@@ -29,24 +28,43 @@ class Modes:
     varying : int
         Which of the plant's parameters varies.
     course : Course
-        Its ``modes`` say which value holds when.
+        Its ``modes`` say which value holds when; it starts at its ``initial`` state, or near it.
     sensors : ndarray (ny, 1 + 3 nv)
+    sizes : ndarray (2 nv,), optional
+        Where the initial state is estimated: sizes of its entries.  theta then has, between constants
+        and values, a number per entry, one of which is the course's own and each more a size.
     """
 
     plant: LinearPlant
     varying: int
     course: Course
     sensors: np.ndarray
+    sizes: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    _known: dict[float, dict[bytes, Matrices]] = field(default_factory=dict, repr=False)
+
+    @property
+    def constants(self) -> int:
+        """How many entries of theta stand before the values."""
+        return len(self.plant.names) - 1 + len(self.sizes)
 
     def split(self, theta: np.ndarray) -> list[np.ndarray]:
         """Turn (constants, one value per mode) into the plant's parameters of each mode."""
         p = len(self.plant.names) - 1
-        return [np.insert(theta[:p], self.varying, value) for value in theta[p:]]
+        return [np.insert(theta[:p], self.varying, value) for value in theta[self.constants :]]
+
+    def started(self, theta: np.ndarray) -> Course:
+        """Return the course from the initial state that theta says."""
+        if not len(self.sizes):
+            return self.course
+        offset = self.sizes * (theta[self.constants - len(self.sizes) : self.constants] - 1.0)
+        return replace(self.course, initial=self.course.initial + offset)
 
     def simulation(self, switch: Switch | None = None) -> Simulation:
         """Return the map from (constants, values) to the outputs."""
+        # Most steps of a sensitivity leave the matrices of most modes as they are.
+        known = self._known.setdefault(self.course.dt, {})
         return lambda theta: simulate(
-            self.plant, self.split(theta), self.course, self.sensors, switch
+            self.plant, self.split(theta), self.started(theta), self.sensors, switch, known
         )
 
 
@@ -55,78 +73,6 @@ def stepped(modes: Modes, cuts: np.ndarray) -> Modes:
     steps = np.arange(len(modes.course.inputs))
     labels = np.searchsorted(np.asarray(cuts) * modes.course.every, steps, side="right")
     return replace(modes, course=replace(modes.course, modes=labels))
-
-
-def fit_steps(
-    modes: Modes, measured: np.ndarray, start: np.ndarray, cuts: np.ndarray
-) -> tuple[Whitened, np.ndarray]:
-    """Refit constants, the value of every segment, and where the steps are.
-
-    Parameters
-    ----------
-    modes : Modes
-    measured : ndarray (n, ny)
-    start : ndarray (p + k,)
-        Constants, then values.
-    cuts : ndarray (k - 1,)
-        Samples at which a segment begins.
-
-    Returns
-    -------
-    (Whitened, ndarray)
-        ... and the cuts: moved to where the whitened misfit is least, and without those that lower
-        it by less than a value and the search for its place cost (``segmentation.chosen``).
-    """
-    cuts = np.asarray(cuts)
-    found = staged(stepped(modes, cuts).simulation(), measured, start)
-    while len(cuts):
-        moved = _moved(modes, measured, found, cuts)
-        fewer = _without_weakest(modes, measured, found, moved)
-        if fewer is None and np.array_equal(moved, cuts):
-            break
-        cuts, start = (moved, found.theta) if fewer is None else fewer
-        found = staged(stepped(modes, cuts).simulation(), measured, start)
-    return found, cuts
-
-
-def _misfit(modes: Modes, measured: np.ndarray, noise: Noise, theta: np.ndarray) -> float:
-    return float(np.sum(noise.whiten(measured - modes.simulation()(theta)) ** 2))
-
-
-def _moved(modes: Modes, measured: np.ndarray, found: Whitened, cuts: np.ndarray) -> np.ndarray:
-    """Move each cut, values held, as long as the misfit falls."""
-    cuts = cuts.copy()
-    best = _misfit(stepped(modes, cuts), measured, found.noise, found.theta)
-    for j in range(len(cuts)):
-        for step in (-1, 1):
-            while True:
-                tried = cuts.copy()
-                tried[j] += step
-                if tried[0] < 1 or tried[-1] >= len(measured) or np.any(np.diff(tried) < 1):
-                    break
-                value = _misfit(stepped(modes, tried), measured, found.noise, found.theta)
-                if not value < best:
-                    break
-                cuts, best = tried, value
-    return cuts
-
-
-def _without_weakest(
-    modes: Modes, measured: np.ndarray, found: Whitened, cuts: np.ndarray
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return cuts and a start with one step less, if some step is not worth its cost."""
-    p = len(modes.plant.names) - 1
-    values, lengths = found.theta[p:], np.diff([0, *cuts, len(measured)])
-    allowed = np.log(measured.size) + 2.0 * np.log(len(measured))
-    base = _misfit(stepped(modes, cuts), measured, found.noise, found.theta)
-    j = int(np.argmin(np.abs(np.diff(values))))
-    kept = np.delete(cuts, j)
-    merged = np.delete(values, j)
-    merged[j] = np.average(values[j : j + 2], weights=lengths[j : j + 2])
-    start = np.concatenate([found.theta[:p], merged])
-    fewer = minimise(stepped(modes, kept).simulation(), measured, start, found.noise)[0]
-    rise = _misfit(stepped(modes, kept), measured, found.noise, fewer) - base
-    return (kept, fewer) if rise < allowed else None
 
 
 def fit_switch(

@@ -11,6 +11,11 @@ import numpy as np
 from physid.identification.linear_plant import LinearPlant
 from physid.plant.compiling import kept
 
+Matrices = tuple[np.ndarray, np.ndarray]
+"""(q, qdot, 1, u) to (q, qdot) a step later, and (1, q, qdot, u) to qddot."""
+REMEMBERED = 256
+"""Parameters whose matrices are kept."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Switch:
@@ -36,6 +41,8 @@ class Course:
         Which mode holds on each step; not used under a :class:`Switch`.
     initial : ndarray (2 nv,)
         State at the start.
+    readings : ndarray (n, nu), optional
+        Inputs right at the samples, for accelerations; those of the step that begins there if not given.
     """
 
     inputs: np.ndarray
@@ -43,6 +50,7 @@ class Course:
     every: int
     modes: np.ndarray
     initial: np.ndarray
+    readings: np.ndarray | None = None
 
 
 def simulate(
@@ -51,6 +59,7 @@ def simulate(
     course: Course,
     sensors: np.ndarray,
     switch: Switch | None = None,
+    known: dict[bytes, Matrices] | None = None,
 ) -> np.ndarray:
     """Simulate and read the sensors.
 
@@ -64,28 +73,39 @@ def simulate(
         Readings per (1, q, qdot, qddot).
     switch : Switch, optional
         Chooses between two modes by the simulated state.
+    known : dict, optional
+        Matrices of parameters that were simulated before, at the same step; it is added to.
 
     Returns
     -------
     ndarray (n, ny)
     """
-    states, modes = run(plant, thetas, course, switch)
-    u = course.inputs[:: course.every][: len(states)]
-    rates = np.array([plant.rates(theta) for theta in thetas])
+    matrices = [_matrices(plant, theta, course.dt, known) for theta in thetas]
+    states, modes = _run(np.array([step for step, _ in matrices]), course, switch)
+    held = course.inputs[:: course.every] if course.readings is None else course.readings
+    u = held[: len(states)]
+    rates = np.array([rate for _, rate in matrices])
     full = np.hstack([np.ones((len(states), 1)), states, u])
     acceleration = np.einsum("nij,nj->ni", rates[modes], full)
     motion = np.hstack([np.ones((len(states), 1)), states, acceleration])
     return np.asarray(motion @ sensors.T)
 
 
-def run(
-    plant: LinearPlant,
-    thetas: list[np.ndarray],
-    course: Course,
-    switch: Switch | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
+def _matrices(
+    plant: LinearPlant, theta: np.ndarray, dt: float, known: dict[bytes, Matrices] | None
+) -> Matrices:
+    """Return the maps over a step and to the accelerations, from memory where they are known."""
+    known = {} if known is None else known
+    key = theta.tobytes()
+    if key not in known:
+        if len(known) >= REMEMBERED:
+            known.clear()
+        known[key] = plant.step(theta, dt), plant.rates(theta)
+    return known[key]
+
+
+def _run(steps: np.ndarray, course: Course, switch: Switch | None) -> tuple[np.ndarray, np.ndarray]:
     """Return states (n, 2 nv) and modes (n,) at the samples; see :func:`simulate`."""
-    steps = np.array([plant.step(theta, course.dt) for theta in thetas])
     row = np.zeros(steps.shape[2]) if switch is None else np.asarray(switch.row, dtype=float)
     threshold = np.inf if switch is None else switch.threshold
     kernel = cast("Callable[..., tuple[np.ndarray, np.ndarray]]", _march)

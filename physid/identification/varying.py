@@ -20,12 +20,13 @@ from physid.errors import InputError
 from physid.identification.constraints import Bound, Constraint, check_feasible
 from physid.identification.lmi import run, solve
 from physid.identification.reduction import Reduced
-from physid.identification.segmentation import Segmentation, standard_errors
 
 BLIND = 1e-7
 """Singular value, relative to the largest, below which a direction of parameters is not identified."""
 CONIC = 1e-10
 """Tolerance of the cone programmes, whose optimum is not flat where there is noise."""
+FAR = 1e-2
+"""Goal of a cone programme below which it is solved again in a finer unit."""
 MOVED = 1e-3
 """Step of a trajectory, relative to its range, that counts as a change point."""
 
@@ -233,31 +234,70 @@ def conic(
         If the constraints contradict each other.
     """
     rough = _rough(reduced)
-    size, force = abs(rough[-1]) or 1.0, _force(reduced, rough)
-    scale = np.where(np.abs(rough[:-1]) > 0, np.abs(rough[:-1]), reduced.common.scale)
-    x, v = cp.Variable(len(scale)), cp.Variable(reduced.samples)
-    # About the constant estimate, and dividing by what it leaves: the solver's numbers are near one.
-    theta: dict[str, Any] = {n: rough[k] + scale[k] * x[k] for k, n in enumerate(reduced.names)}
-    theta[reduced.name] = size * v
     if any(not isinstance(c, Bound) for c in constraints):
-        check_feasible(constraints, theta)
-    base = reduced.common.triangle @ rough[:-1] - reduced.common.target
+        _check(constraints, reduced, rough)
+    unit = _force(reduced, rough)
+    penalties = (variation, smoothness)
+    theta, values, goal = _cone(reduced, constraints, penalties, rough, rough[:-1], unit, unit)
+    # The solver's tolerance is absolute: where little is left, a constraint that holds back little is
+    # met only roughly.  So again about what was found, in units of what it leaves.
+    if CONIC / FAR < goal < FAR:
+        smaller = unit * float(np.sqrt(goal))
+        theta, values, _ = _cone(reduced, constraints, penalties, rough, theta, unit, smaller)
+    left = reduced.shown(theta) - reduced.slope * values
+    return theta, values, float(reduced.common.cost(theta) + left @ left)
+
+
+def _sizes(reduced: Reduced, rough: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return sizes of the constant parameters (p,) and of the varying one."""
+    scale = np.where(np.abs(rough[:-1]) > 0, np.abs(rough[:-1]), reduced.common.scale)
+    return scale, abs(float(rough[-1])) or 1.0
+
+
+def _check(constraints: Sequence[Constraint], reduced: Reduced, rough: np.ndarray) -> None:
+    """Require that some trajectory and constants satisfy all constraints."""
+    scale, size = _sizes(reduced, rough)
+    x, v = cp.Variable(len(scale)), cp.Variable(reduced.samples)
+    theta: dict[str, Any] = {n: scale[k] * x[k] for k, n in enumerate(reduced.names)}
+    check_feasible(constraints, {**theta, reduced.name: size * v})
+
+
+def _cone(
+    reduced: Reduced,
+    constraints: Sequence[Constraint],
+    penalties: tuple[float, float],
+    rough: np.ndarray,
+    about: np.ndarray,
+    unit: float,
+    force: float,
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Solve about some constants (p,) in a unit of force; return theta, values and the goal.
+
+    ``unit`` is the force that the penalties are relative to, so that they weigh the same whatever
+    ``force`` is.
+    """
+    scale, size = _sizes(reduced, rough)
+    x, v = cp.Variable(len(scale)), cp.Variable(reduced.samples)
+    theta: dict[str, Any] = {n: about[k] + scale[k] * x[k] for k, n in enumerate(reduced.names)}
+    theta[reduced.name] = size * v
+    base = reduced.common.triangle @ about - reduced.common.target
     common = reduced.common.triangle * scale / force @ x + base / force
     along = (
-        reduced.shown(rough[:-1]) / force
+        reduced.shown(about) / force
         - (reduced.rows * scale / force) @ x
         - cp.multiply(reduced.slope * size / force, v)
     )
     goal = cp.sum_squares(common) + cp.sum_squares(along)
-    if variation:
-        goal += variation * cp.norm1(cp.diff(v))
-    if smoothness:
-        goal += smoothness * cp.sum_squares(cp.diff(v, 2))
+    heavier = (unit / force) ** 2
+    if penalties[0]:
+        goal += heavier * penalties[0] * cp.norm1(cp.diff(v))
+    if penalties[1]:
+        goal += heavier * penalties[1] * cp.sum_squares(cp.diff(v, 2))
     built = [c for constraint in constraints for c in constraint.build(theta)]
-    run(cp.Problem(cp.Minimize(goal), built), CONIC)
-    found, values = rough[:-1] + np.asarray(x.value) * scale, np.asarray(v.value) * size
-    left = reduced.shown(found) - reduced.slope * values
-    return found, values, float(reduced.common.cost(found) + left @ left)
+    problem = cp.Problem(cp.Minimize(goal), built)
+    run(problem, CONIC)
+    found = about + np.asarray(x.value) * scale
+    return found, np.asarray(v.value) * size, float(problem.value)
 
 
 def _force(reduced: Reduced, rough: np.ndarray) -> float:
@@ -302,59 +342,3 @@ def smooth_weight(reduced: Reduced, length: float) -> float:
     rough = _rough(reduced)
     information = np.mean(reduced.slope**2) * (rough[-1] / _force(reduced, rough)) ** 2
     return float(information / (2.0 * np.sin(np.pi * dt / length)) ** 4)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Scheduled:
-    """A parameter as constant + slope times a measured variable (LPV).
-
-    Parameters
-    ----------
-    theta : ndarray (p,)
-        The constant parameters.
-    coefficients, std_error : ndarray (2,)
-        Constant and slope.
-    values : ndarray (n,)
-    cost : float
-    proportional : bool
-        Whether the constant is nothing within three standard errors or half a per cent of the rest.
-    """
-
-    theta: np.ndarray
-    coefficients: np.ndarray
-    std_error: np.ndarray
-    values: np.ndarray
-    cost: float
-    proportional: bool
-
-
-def scheduled(reduced: Reduced, variable: np.ndarray, correlation: float = 1.0) -> Scheduled:
-    """Fit a parameter as a straight line in a measured variable (n,)."""
-    columns = np.column_stack([np.ones(reduced.samples), variable])
-    joint = reduced.joint(columns, (f"{reduced.name}#constant", f"{reduced.name}#slope"))
-    theta = solve(joint).theta
-    std = standard_errors(joint, theta, correlation)
-    p = len(reduced.names)
-    constant, slope = theta[p:]
-    spread = float(np.sqrt(np.mean((slope * variable) ** 2)))
-    return Scheduled(
-        theta=theta[:p],
-        coefficients=theta[p:],
-        std_error=std[p:],
-        values=columns @ theta[p:],
-        cost=joint.cost(theta),
-        proportional=bool(abs(constant) <= max(3.0 * std[p], 5e-3 * spread)),
-    )
-
-
-__all__ = [
-    "Free",
-    "Interval",
-    "Scheduled",
-    "Segmentation",
-    "conic",
-    "free",
-    "scheduled",
-    "smooth_weight",
-    "total_variation",
-]

@@ -137,6 +137,10 @@ def renderables(result: Result) -> list[RenderableType]:
     pieces: list[RenderableType] = [verdict_panel(result)]
     shown = _SHOWN.get(kind(result), tuple(_TABLES))
     pieces += [_TABLES[key](result) for key in shown if mappings(result.get(key))]
+    pieces += [
+        draw(tables.beside(entry.get("parameters")), "By output error beside it")
+        for entry in mappings(result.get("output_error"))
+    ]
     if kind(result) == "tuning":
         pieces.append(draw(gain_table(result), "Gain of u = -F x + v"))
     if "where" in shown and mappings(mapping(result.get("where")).get("joints")):

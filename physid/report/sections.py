@@ -26,7 +26,7 @@ from physid.report.reading import (
 from physid.report.runs import labels as model_labels
 from physid.report.runs import record_blocks
 from physid.report.singles import families, simulated_columns
-from physid.report.trajectories import trajectories
+from physid.report.trajectories import beside, trajectories
 from physid.report.words import capital, effects_phrase
 
 
@@ -45,6 +45,7 @@ def sections(result: Result, curves: Curves) -> list[Section]:
         _candidates(result),
         _parameters(result, curves),
         trajectories(result, curves),
+        beside(result),
         _residuals(result, curves),
         section(
             "records",

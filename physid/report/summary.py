@@ -319,7 +319,8 @@ def _fit(result: Result) -> Summary:
     unsure = [p for p in parameters if number(p.get("std_error")) is None]
     facts = _channel_facts(result)
     facts += [("Not identifiable", plural(len(unsure), "parameter"))] if unsure else []
-    detail = " ".join(part for part in (capital(status), _noise_sentence(result)) if part)
+    parts = (capital(status), text(result.get("sentence")), _noise_sentence(result))
+    detail = " ".join(part for part in parts if part)
     tone = "warn" if coloured(result) else "plain"
     return Summary(headline=headline, detail=detail, facts=tuple(facts), tone=tone)
 

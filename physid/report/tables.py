@@ -144,6 +144,32 @@ def parameters(entries: object, caption: str = "") -> Table:
     return _table(columns, rows, caption)
 
 
+def beside(entries: object, caption: str = "") -> Table:
+    """Return parameters by the equations of motion and by output error, with the Cramer-Rao bound."""
+    columns = [
+        Column(heading="Parameter"),
+        Column(heading="Equations of motion", numeric=True),
+        Column(heading="Output error", numeric=True),
+        Column(heading="Cramer-Rao bound", numeric=True),
+        Column(heading="Instruments", numeric=True, page_only=True),
+        Column(heading="Bias compensated", numeric=True, page_only=True),
+        Column(heading="Unit"),
+    ]
+    estimates = ("lmi", "output_error", "cramer_rao", "instrumental", "compensated")
+    rows = [
+        (
+            "",
+            [
+                text(entry.get("name")),
+                *(given(number(entry.get(k))) for k in estimates),
+                text(entry.get("unit")) or MISSING,
+            ],
+        )
+        for entry in mappings(entries)
+    ]
+    return _table(columns, rows, caption)
+
+
 def checks(entries: object) -> Table:
     """Return estimates beside the truth they were checked against."""
     columns = [

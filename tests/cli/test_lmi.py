@@ -69,10 +69,17 @@ def test_a_step_is_found_and_written(case_1, capsys):
     assert varying["places"] == pytest.approx([0.25])
     assert varying["values"] == pytest.approx([90e3, 180e3], rel=1e-5)
     assert varying["effects"][0]["effect"] == "stiffness_change"
+    # Without noise nothing beats the equations; the input between the samples is only guessed.
+    (beside,) = result["output_error"]
+    assert (beside["varying"], beside["trust"]) == ("base_position.kp", "lmi")
+    assert varying["effects_by"] == "lmi"
+    assert "Trust the equations of motion" in result["sentence"]
     assert result["sentence"].startswith("base_position.kp steps at t = 0.250 s")
     page = (case_1 / "out" / "report.html").read_text(encoding="utf-8")
     assert "What varies" in page
     assert "base_position.kp over time" in page
+    assert "Which estimate to trust" in page
+    assert "Cramer-Rao bound" in page
 
 
 @pytest.mark.parametrize(

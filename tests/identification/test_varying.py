@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 
 from physid.effects.catalogue import load_model
 from physid.errors import InputError
+from physid.identification.change_points import fit_steps
 from physid.identification.compression import compress
 from physid.identification.constraints import Bound, variance_bound
 from physid.identification.instruments import compensated, equations, instrumental
@@ -19,9 +20,10 @@ from physid.identification.movement import in_proportion, levels, steps
 from physid.identification.reduction import reduce
 from physid.identification.regression import Regression
 from physid.identification.regression_fit import parse_varying
-from physid.identification.stepping_fit import Modes, fit_steps
+from physid.identification.schedule import scheduled
+from physid.identification.stepping_fit import Modes
 from physid.identification.switched import Course, simulate
-from physid.identification.varying import conic, free, scheduled, total_variation
+from physid.identification.varying import conic, free, total_variation
 from physid.identification.whitening import Noise, cramer_rao, staged
 from physid.record.noise import LowPass
 from physid.rigs import rig_path
@@ -102,9 +104,11 @@ def test_steps_are_found_exactly_and_speak_for_a_stiffness_change(case_1, truth)
     assert np.max(np.abs(found.theta / chain.THETA[:7] - 1)) <= 1e-9
     assert moved.sentence.startswith("base_position.kp steps at t = 0.250, 0.500, 0.750 s")
     assert moved.p_value < 1e-6
-    (effect,) = moved.effects()
-    assert (effect["effect"], effect["location"]) == ("stiffness_change", "base_position")
-    assert [p["value"] for p in effect["parameters"]] == pytest.approx([2.0, 0.25])
+    first, second, third = moved.effects()
+    assert (first["effect"], first["location"]) == ("stiffness_change", "base_position")
+    assert [p["value"] for p in first["parameters"]] == pytest.approx([2.0, 0.25])
+    assert [p["value"] for p in second["parameters"]] == pytest.approx([0.5, 0.5])
+    assert [p["value"] for p in third["parameters"]] == pytest.approx([2.0, 0.75])
 
 
 def test_levels_are_found_with_their_threshold():
@@ -153,6 +157,14 @@ def test_bounded_variance_is_active_and_helps(truth):
         errors.append([np.nanmean((v / truth - 1) ** 2) for v in (values, free(reduced).values)])
     held, loose = np.sqrt(np.mean(errors, axis=0))
     assert held <= loose / 3
+
+
+def test_bounded_variance_is_met_where_it_hardly_holds_back(truth):
+    """What is left is 1e-5 of the constant form's there: the tolerance must be relative to it."""
+    reduced = reduce(written(noisy(chain.exact_run(119, values=stepping), 1.0, 119)), K4)
+    bound = variance_bound(K4, float(np.var(truth)), reduced.samples, 1e5)
+    _, values, _ = conic(reduced, [*(Bound(name=n) for n in chain.NAMES), bound])
+    assert np.var(values) / np.var(truth) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_contradicting_constraints_on_a_trajectory_are_named(case_1, truth):
