@@ -1,0 +1,114 @@
+"""The noise that a record leaves around the loop's response: its density and what it hides."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+Complex = npt.NDArray[np.complex128]
+
+ORDER = 4
+"""Samples of the past by which the noise is whitened."""
+BLOCKS = 32
+"""Blocks into which whitened noise is cut."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Disturbance:
+    """Stationary noise in the states, whitened by its own past.
+
+    Parameters
+    ----------
+    past : ndarray, shape (p, n, n)
+        A of e(t) = A_1 e(t - 1) + ... + w(t).
+    blocks : ndarray, shape (b, c, n)
+        w in blocks of c samples.
+    free : float
+        Blocks that are independent, at most b.
+    level : float
+        Rms of e.
+
+    Notes
+    -----
+    The loop colours its sensors' noise with its own poles, which short blocks do not resolve and
+    long ones leave too few of. Whitened, the noise is smooth in frequency, and short blocks do.
+    """
+
+    past: Array
+    blocks: Array
+    free: float
+    level: float
+
+    def root(self, size: int, count: int) -> Complex:
+        """Return factors C, (count, n, n), of the density C C' per sample at 2 pi k / size."""
+        n, length = self.blocks.shape[2], self.blocks.shape[1]
+        bits = np.array([transform(b, size)[:count] for b in self.blocks]) / np.sqrt(length)
+        white = np.einsum("bki,bkj->kij", bits, bits.conj()) / len(bits)
+        values, vectors = np.linalg.eigh(white)
+        half = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+        filters = np.concatenate([np.eye(n)[None], -self.past])
+        return np.asarray(np.linalg.solve(transform(filters, size)[:count], half))
+
+    def quantile(self, level: float) -> float:
+        r"""Return q with |C^-1 E| <= q but for a probability, E the noise at one frequency.
+
+        E* S^-1 E with a covariance S estimated from b blocks has Hotelling's distribution for n
+        complex numbers, n b / (b - n + 1) F(2 n, 2 (b - n + 1)).
+        """
+        return _hotelling(self.free, self.blocks.shape[2], level)
+
+
+def whitened(noise: Array, share: float = 1.0) -> Disturbance:
+    """Describe noise (e, t, n).
+
+    Parameters
+    ----------
+    noise : ndarray, shape (e, t, n)
+    share : float
+        Part of its samples that a fit left free; the noise is scaled by its root.
+    """
+    e = np.asarray(noise / np.sqrt(share))
+    past, w = _autoregression(e)
+    size = max(8, w.shape[1] * len(w) // BLOCKS)
+    count = w.shape[1] // size
+    blocks = w[:, : count * size].reshape(-1, size, w.shape[2])
+    return Disturbance(
+        past=past,
+        blocks=blocks,
+        free=share * len(blocks),
+        level=float(np.sqrt(np.mean(e**2))),
+    )
+
+
+def _autoregression(e: Array) -> tuple[Array, Array]:
+    """Fit the noise by its past; return the coefficients and what they leave, (e, t - p, n)."""
+    n, scale = e.shape[2], np.sqrt(np.mean(e**2, axis=(0, 1)))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    z = e / scale
+    rows = np.concatenate([z[:, ORDER - k : -k] for k in range(1, ORDER + 1)], axis=2)
+    now = z[:, ORDER:]
+    found = np.linalg.lstsq(rows.reshape(-1, ORDER * n), now.reshape(-1, n), rcond=1e-10)[0]
+    past = found.reshape(ORDER, n, n).transpose(0, 2, 1) * (scale[:, None] / scale)
+    return past, np.asarray((now - rows @ found) * scale)
+
+
+@lru_cache(maxsize=64)
+def _hotelling(blocks: float, n: int, level: float) -> float:
+    from scipy.stats import f
+
+    if blocks <= n:
+        return float("inf")
+    free = blocks - n + 1
+    return float(np.sqrt(n * blocks / free * f.isf(level, 2 * n, 2 * free)))
+
+
+def transform(values: Array, size: int) -> Complex:
+    """Transform (t, ...) at 2 pi k / size, exactly also where t exceeds size."""
+    rows = -(-len(values) // size) * size
+    padded = np.concatenate([values, np.zeros((rows - len(values), *values.shape[1:]))])
+    folded = padded.reshape(-1, size, *values.shape[1:]).sum(axis=0)
+    return np.asarray(np.fft.fft(folded, axis=0))
