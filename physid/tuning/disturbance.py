@@ -15,6 +15,8 @@ ORDER = 4
 """Samples of the past by which the noise is whitened."""
 BLOCKS = 32
 """Blocks into which whitened noise is cut."""
+SINGULAR = 1e-12
+"""Least density in any direction, relative to white noise of the same size."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -46,10 +48,14 @@ class Disturbance:
     def root(self, size: int, count: int) -> Complex:
         """Return factors C, (count, n, n), of the density C C' per sample at 2 pi k / size."""
         n, length = self.blocks.shape[2], self.blocks.shape[1]
-        bits = np.array([transform(b, size)[:count] for b in self.blocks]) / np.sqrt(length)
-        white = np.einsum("bki,bkj->kij", bits, bits.conj()) / len(bits)
+        scale = np.sqrt(np.mean(self.blocks**2, axis=(0, 1)))
+        scale = np.maximum(scale, 1e-12 * scale.max()) + np.finfo(float).tiny
+        bits = np.array([transform(b / scale, size)[:count] for b in self.blocks])
+        white = np.einsum("bki,bkj->kij", bits, bits.conj()) / (length * len(bits))
         values, vectors = np.linalg.eigh(white)
-        half = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+        # What the noise's past tells exactly must not make a direction that nothing is hidden in.
+        half = vectors * np.sqrt(np.maximum(values, SINGULAR))[:, None, :]
+        half = scale[:, None] * half
         filters = np.concatenate([np.eye(n)[None], -self.past])
         return np.asarray(np.linalg.solve(transform(filters, size)[:count], half))
 

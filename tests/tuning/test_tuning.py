@@ -11,7 +11,6 @@ from physid.tuning import (
     Experiment,
     HalfPlane,
     InterGrid,
-    LinearPlant,
     Margins,
     Nyquist,
     NyquistOpen,
@@ -22,6 +21,7 @@ from physid.tuning import (
 from physid.tuning.fictitious import fictitious_cost
 from physid.tuning.loop import excited, respond
 from physid.tuning.matching import matching
+from physid.tuning.published import TWO_GAIN, TWO_NOMINAL, TWO_TRUE
 from physid.tuning.response import measure
 from physid.tuning.trial import linear_experiment, step_error
 
@@ -127,32 +127,18 @@ def test_noise_leaves_certified_gains_stable_and_better():
         assert errors[1] < 0.2 * errors[0]
 
 
-TWO = LinearPlant(
-    a=np.array([[0.9, 0.07, -0.07], [-0.22, 0.79, -0.25], [0.02, 0.34, 0.78]]),
-    b=np.array([[-0.31, 0.24], [0.18, 0.05], [-0.47, -0.01]]),
-    dt=1.0,
-)
-TWO_NOMINAL = LinearPlant(
-    a=np.array([[0.93, 0.09, -0.08], [-0.24, 1.02, -0.21], [0.02, 0.36, 0.57]]),
-    b=np.array([[-0.17, 0.24], [0.17, 0.07], [-0.53, -0.01]]),
-    dt=1.0,
-)
-TWO_GAIN = np.array([[-0.9, 0.98, -0.62], [1.18, 0.14, -0.29]])
-
-
-@pytest.mark.skip(reason="takes minutes; scripts/two_wheel_tuning.py shows the same figure")
-@pytest.mark.parametrize("rule", [HalfPlane(), Nyquist()], ids=lambda c: c.name)
+@pytest.mark.parametrize("rule", [HalfPlane(), InterGrid(), Nyquist()], ids=lambda c: c.name)
 def test_two_inputs(rule):
-    experiment = linear_experiment(TWO, TWO_GAIN, MSequence(stages=7, clock=1.0, periods=2))
+    experiment = linear_experiment(TWO_TRUE, TWO_GAIN, MSequence(stages=7, clock=1.0, periods=2))
     desired, row = TWO_NOMINAL.closed(TWO_GAIN), np.eye(3)[:1]
     plain = tune_gain(experiment, desired, outputs=row, constraint=Unconstrained())
-    assert TWO.closed(plain.gain).radius > 1.0
+    assert TWO_TRUE.closed(plain.gain).radius > 1.0
     assert not plain.certified
     found = tune_gain(
         experiment, desired, outputs=row, constraint=rule, margins=Margins(radius=0.995)
     )
     assert found.certified
-    assert TWO.closed(found.gain).radius <= 0.995
+    assert TWO_TRUE.closed(found.gain).radius <= 0.995
     assert found.costs[1] < found.costs[0]
 
 
@@ -199,4 +185,4 @@ def test_experiments_that_cannot_be():
     with pytest.raises(InputError, match="a record per input"):
         Experiment(states=x, inputs=np.zeros((1, 100, 2)), gain=np.ones((2, 4)), dt=DT, period=31)
     with pytest.raises(InputError, match="same plant"):
-        tune_gain(EXPERIMENT, TWO.closed(TWO_GAIN))
+        tune_gain(EXPERIMENT, TWO_TRUE.closed(TWO_GAIN))
