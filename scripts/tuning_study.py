@@ -83,6 +83,8 @@ def random_plants(
             found = tried(nominal_plant(model.with_values(values), states, dt), noise)
             refused += found is None
             trials += [found] if found is not None else []
+            if found is not None and len(trials) % 50 == 0:
+                out.say(f"{len(trials)} of {count} {name}, {100 * noise:g} % noise")
         _count(out, f"{count} random {name}, {100 * noise:g} % noise", trials, refused)
 
 

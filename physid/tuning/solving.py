@@ -167,9 +167,11 @@ def _several(rules: Inequalities, at: Index, gain: Any, room: Any) -> list[Any]:
     known = free[:, None, None] * np.eye(d) - offsets
     table = slopes.reshape(len(at), size, d * d).transpose(0, 2, 1).reshape(-1, size)
     spare = np.kron(np.eye(len(at)), np.eye(d).reshape(-1, 1))
-    entries = table @ cp.reshape(gain, (size,), order="C") + known.ravel() - spare @ room
+    spent = cp.Variable(len(at))  # the room: matrices must be affine, and it is only convex
+    entries = table @ cp.reshape(gain, (size,), order="C") + known.ravel() - spare @ spent
     matrices = cp.reshape(entries, (len(at), d * d), order="C")
-    return [cp.reshape(matrices[k], (d, d), order="C") >> 0 for k in range(len(at))]
+    blocks = [cp.reshape(matrices[k], (d, d), order="C") >> 0 for k in range(len(at))]
+    return [room <= spent, *blocks]
 
 
 def _real(x: Complex, shape: str) -> Array:

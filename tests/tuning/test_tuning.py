@@ -129,11 +129,25 @@ def test_noise_leaves_certified_gains_stable_and_better():
 
 @pytest.mark.parametrize("rule", [HalfPlane(), InterGrid(), Nyquist()], ids=lambda c: c.name)
 def test_two_inputs(rule):
-    experiment = linear_experiment(TWO_TRUE, TWO_GAIN, MSequence(stages=7, clock=1.0, periods=2))
+    sequence = MSequence(stages=7, clock=1.0, periods=2)
+    experiment = linear_experiment(TWO_TRUE, TWO_GAIN, sequence)
     desired, row = TWO_NOMINAL.closed(TWO_GAIN), np.eye(3)[:1]
     plain = tune_gain(experiment, desired, outputs=row, constraint=Unconstrained())
     assert TWO_TRUE.closed(plain.gain).radius > 1.0
     assert not plain.certified
+    found = tune_gain(
+        experiment, desired, outputs=row, constraint=rule, margins=Margins(radius=0.995)
+    )
+    assert found.certified
+    assert TWO_TRUE.closed(found.gain).radius <= 0.995
+    assert found.costs[1] < found.costs[0]
+
+
+@pytest.mark.parametrize("rule", [HalfPlane(), InterGrid()], ids=lambda c: c.name)
+def test_two_inputs_in_noise(rule):
+    sequence, rng = MSequence(stages=9, clock=1.0, periods=2), np.random.default_rng(3)
+    experiment = linear_experiment(TWO_TRUE, TWO_GAIN, sequence, noise=0.01, rng=rng)
+    desired, row = TWO_NOMINAL.closed(TWO_GAIN), np.eye(3)[:1]
     found = tune_gain(
         experiment, desired, outputs=row, constraint=rule, margins=Margins(radius=0.995)
     )
