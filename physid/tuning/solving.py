@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from importlib import import_module
 from typing import Any
 
@@ -97,7 +98,10 @@ def _relaxed(
     limits = _limits(rules, at, instants, gain)
     problem = cp.Problem(cp.Minimize(cp.norm(step)), limits)
     try:
-        problem.solve(solver=cp.CLARABEL)
+        with warnings.catch_warnings():
+            # All inequalities are checked by `minimise`, so an inaccurate solution does no harm.
+            warnings.filterwarnings("ignore", message="Solution may be inaccurate")
+            problem.solve(solver=cp.CLARABEL)
     except (cp.SolverError, ValueError):
         return None
     if problem.status not in ("optimal", "optimal_inaccurate") or step.value is None:
