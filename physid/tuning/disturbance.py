@@ -31,8 +31,10 @@ class Disturbance:
         w in blocks of c samples.
     free : float
         Blocks that are independent, at most b.
-    level : float
-        Rms of e.
+    size : ndarray, shape (n, n)
+        A factor of e's covariance.
+    period : int
+        N, samples of the transforms that it is to cover.
 
     Notes
     -----
@@ -43,7 +45,13 @@ class Disturbance:
     past: Array
     blocks: Array
     free: float
-    level: float
+    size: Array
+    period: int
+
+    @property
+    def level(self) -> float:
+        """Rms of e, all states together."""
+        return float(np.sqrt(np.mean(np.sum(self.size**2, axis=1))))
 
     def root(self, size: int, count: int) -> Complex:
         """Return factors C, (count, n, n), of the density C C' per sample at 2 pi k / size."""
@@ -52,12 +60,22 @@ class Disturbance:
         scale = np.maximum(scale, 1e-12 * scale.max()) + np.finfo(float).tiny
         bits = np.array([transform(b / scale, size)[:count] for b in self.blocks])
         white = np.einsum("bki,bkj->kij", bits, bits.conj()) / (length * len(bits))
-        values, vectors = np.linalg.eigh(white)
+        edge = self._edge(size, count) / scale[:, None]
+        values, vectors = np.linalg.eigh(white + edge @ edge.conj().transpose(0, 2, 1))
         # What the noise's past tells exactly must not make a direction that nothing is hidden in.
         half = vectors * np.sqrt(np.maximum(values, SINGULAR))[:, None, :]
         half = scale[:, None] * half
         filters = np.concatenate([np.eye(n)[None], -self.past])
         return np.asarray(np.linalg.solve(transform(filters, size)[:count], half))
+
+    def _edge(self, size: int, count: int) -> Complex:
+        r"""Return factors of what the period's ends add to w's density, (count, n, n).
+
+        Noise does not repeat with the period. Its transform, filtered by its past, is that of w and
+        sum_i A_i sum_(m < i) exp(-j m angle) (e(0) - e(N)): in slow noise that leaks far.
+        """
+        sums = np.cumsum(self.past[::-1], axis=0)[::-1]  # A_(m + 1) + A_(m + 2) + ...
+        return np.asarray(transform(sums @ self.size, size)[:count] * np.sqrt(2.0 / self.period))
 
     def quantile(self, level: float) -> float:
         r"""Return q with |C^-1 E| <= q but for a probability, E the noise at one frequency.
@@ -68,12 +86,14 @@ class Disturbance:
         return _hotelling(self.free, self.blocks.shape[2], level)
 
 
-def whitened(noise: Array, share: float = 1.0) -> Disturbance:
+def whitened(noise: Array, period: int, share: float = 1.0) -> Disturbance:
     """Describe noise (e, t, n).
 
     Parameters
     ----------
     noise : ndarray, shape (e, t, n)
+    period : int
+        Samples of the transforms that it is to cover.
     share : float
         Part of its samples that a fit left free; the noise is scaled by its root.
     """
@@ -86,7 +106,8 @@ def whitened(noise: Array, share: float = 1.0) -> Disturbance:
         past=past,
         blocks=blocks,
         free=share * len(blocks),
-        level=float(np.sqrt(np.mean(e**2))),
+        size=_root(np.einsum("eti,etj->ij", e, e) / (e.shape[0] * e.shape[1])),
+        period=period,
     )
 
 
@@ -100,6 +121,11 @@ def _autoregression(e: Array) -> tuple[Array, Array]:
     found = np.linalg.lstsq(rows.reshape(-1, ORDER * n), now.reshape(-1, n), rcond=1e-10)[0]
     past = found.reshape(ORDER, n, n).transpose(0, 2, 1) * (scale[:, None] / scale)
     return past, np.asarray((now - rows @ found) * scale)
+
+
+def _root(covariance: Array) -> Array:
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 @lru_cache(maxsize=64)

@@ -188,7 +188,8 @@ def measure(experiment: Experiment) -> Response:
     short = _shortest(v, x, memory(raw))
     if short is None:
         kept = raw
-        noise = whitened(noise_of(experiment, raw) / np.sqrt(experiment.periods - 1.0))
+        left = noise_of(experiment, raw) / np.sqrt(experiment.periods - 1.0)
+        noise = whitened(left, experiment.period)
     else:
         kept, noise = short
     found = Response(
@@ -216,7 +217,7 @@ def _shortest(v: Array, x: Array, lags: int) -> tuple[Array, Disturbance] | None
     while lags <= period // 2:
         kept = short_impulse_response(v, x, lags)
         left = _residual(v, x, kept)
-        noise = whitened(left, 1.0 - lags / period)
+        noise = whitened(left, period, 1.0 - lags / period)
         if noise.level <= rounding or not _more(left, noise):
             return kept, noise
         lags *= 2
