@@ -11,27 +11,24 @@ stronger, and 200 more have every parameter within 30 %. Certified gains are run
 from __future__ import annotations
 
 import itertools
-import json
 import os
 import sys
-import time
-import warnings
-from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[_name] = "1"
 ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "envs")]
+sys.path[:0] = [str(ROOT), str(ROOT / "envs"), str(ROOT / "scripts")]
 
 import gymnasium  # noqa: E402
 import mujoco  # noqa: E402
 import numpy as np  # noqa: E402
 import typer  # noqa: E402
+from tuning_study import Figures, random_plants, run  # noqa: E402
 
 from physid.effects.catalogue import load_model  # noqa: E402
-from physid.errors import InputError  # noqa: E402
 from physid.plant.model import Model  # noqa: E402
 from physid.record import MSequence  # noqa: E402
 from physid.rigs import rig_path  # noqa: E402
@@ -54,30 +51,13 @@ STATES = ("drive_angle", "drive_rate", "load_angle", "load_rate")
 F0 = np.array([[1.939, 0.05071, -2.410, 0.5972]])
 OUTPUT = np.array([[0.0, 1.0, 0.0, 0.0]])
 SAFE = Margins()
+NO_MARGINS = Margins(modulus=0.0, radius=1.0)
 ORDER = (Unconstrained(), Nyquist(), HalfPlane(), InterGrid(), SmallGain())
 NOTES = (0.2229, 0.23667, 0.23667, 0.2369, 0.2385)
 PARAMETERS = (
     *("rotor.inertia", "disc.inertia", "shaft.stiffness"),
     *("drive.damping", "load.damping", "motor.gear"),
 )
-
-
-@dataclass
-class Figures:
-    """What was measured beside what is asked for."""
-
-    entries: list[dict[str, Any]] = field(default_factory=list)
-
-    def add(self, name: str, value: float, op: str, bound: float) -> None:
-        """Keep a figure and whether it holds."""
-        holds = bool(value <= bound if op == "<=" else value >= bound)
-        entry = {"name": name, "value": float(value), "op": op, "bound": bound, "holds": holds}
-        self.entries.append(entry)
-        self.say(f"{'holds' if holds else 'FAILS'}  {name}: {value:.6g} {op} {bound}")
-
-    def say(self, line: str) -> None:
-        """Print a line on standard error at once."""
-        print(line, file=sys.stderr, flush=True)
 
 
 def rig() -> Model:
@@ -130,9 +110,8 @@ def strong_motor(out: Figures, model: Model, desired: Any, stages: int) -> dict[
     """Take the notes' plant: a motor 30 % stronger than the nominal one."""
     gear = model.parameter("motor.gear").value
     plant = nominal_plant(model.with_values({"motor.gear": 1.3 * gear}), STATES, DT)
-    none = Margins(modulus=0.0, radius=1.0)
     out.say(f"motor +30 %, no margins; notes' costs {NOTES}")
-    found = costs(plant, desired, stages, ORDER, none, out)
+    found = costs(plant, desired, stages, ORDER, NO_MARGINS, out)
     out.add("motor +30 %: unconstrained |z|", plant.closed(found["none"][1].gain).radius, ">=", 1.0)
     names = [rule.name for rule in ORDER]
     for low, high in itertools.pairwise(names):
@@ -153,62 +132,35 @@ def strong_motor(out: Figures, model: Model, desired: Any, stages: int) -> dict[
     return {"F0": F0, **{name: tuned.gain for name, (_, tuned) in safe.items()}}
 
 
-def random_plants(
+def random_rigs(
     out: Figures, model: Model, desired: Any, count: int, stages: int, rng: np.random.Generator
 ) -> None:
     """Rigs with every parameter within 30 %: the costs' order, and what certificates are worth."""
-    base = {name: model.parameter(name).value for name in PARAMETERS}
     sequence = MSequence(stages=stages, clock=DT, periods=2, amplitude=3.0)
-    none = Margins(modulus=0.0, radius=1.0)
+    orders: list[bool] = []
 
-    def draw() -> Any:
-        values = {k: v * rng.uniform(0.7, 1.3) for k, v in base.items()}
-        return nominal_plant(model.with_values(values), STATES, DT)
+    def tried(plant: Any, noise: float) -> Any:
+        found = try_tuning(plant, desired, F0, OUTPUT, sequence, noise=noise, rng=rng, span=SPAN)
+        if found is not None and not noise:
+            orders.append(ordered(costs(plant, desired, stages, ORDER, NO_MARGINS, None)))
+        return found
 
-    in_order = tried = 0
-    for noise in (0.0, 0.01):
-        trials, refused = [], 0
-        while len(trials) < count:
-            plant = draw()
-            found = try_tuning(
-                plant, desired, F0, OUTPUT, sequence, noise=noise, rng=rng, span=SPAN
-            )
-            refused += found is None
-            trials += [found] if found is not None else []
-            if found is not None and not noise:
-                try:
-                    in_order += ordered(costs(plant, desired, stages, ORDER, none, None))
-                    tried += 1
-                except InputError:
-                    continue
-        name = f"{count} random rigs, {100 * noise:g} % noise"
-        out.say(
-            f"{name}: {refused} more that F0 does not stabilise, or that do not settle, were left out"
-        )
-        out.add(
-            f"{name}: certified and unstable",
-            sum(t.certified and not t.stable for t in trials),
-            "<=",
-            0,
-        )
-        out.add(
-            f"{name}: share with a certified better gain",
-            np.mean([t.better for t in trials]),
-            ">=",
-            0.8,
-        )
-        out.add(
-            f"{name}: unconstrained and unstable", sum(not t.plain_stable for t in trials), ">=", 1
-        )
+    random_plants(
+        out,
+        "rigs",
+        model=model,
+        parameters=PARAMETERS,
+        states=STATES,
+        dt=DT,
+        count=count,
+        rng=rng,
+        tried=tried,
+    )
     out.say(
-        f"the costs stand in the thesis's order on {in_order} of {tried} rigs; it is no theorem"
+        f"the costs stand in the thesis's order on {sum(orders)} of {len(orders)} rigs; it is no theorem"
     )
-    out.add(
-        "random rigs: share whose costs stand in the thesis's order",
-        in_order / max(tried, 1),
-        ">=",
-        0.0,
-    )
+    share = sum(orders) / len(orders)
+    out.add("random rigs: share whose costs stand in the thesis's order", share, ">=", 0.0)
 
 
 def rig_runs(out: Figures, model: Model, gains: dict[str, Any], seed: int) -> None:
@@ -235,6 +187,16 @@ def rig_runs(out: Figures, model: Model, gains: dict[str, Any], seed: int) -> No
         out.add(f"MuJoCo, {name}: angle left after 20 s [rad]", left, "<=", 0.05)
 
 
+def study(out: Figures, seed: int, *, small: bool) -> None:
+    """Measure every figure."""
+    rng, model = np.random.default_rng(seed), rig()
+    desired = nominal_plant(model, STATES, DT).closed(F0)
+    out.say(f"F0 on the nominal rig: |z| {desired.radius:.6f}")
+    gains = strong_motor(out, model, desired, 11 if small else 16)
+    random_rigs(out, model, desired, 3 if small else 200, 11 if small else 12, rng)
+    rig_runs(out, model, gains, seed)
+
+
 def main(
     seed: Annotated[
         int | None, typer.Option(help="Of everything random; the clock's else.")
@@ -243,17 +205,7 @@ def main(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object alone.")] = False,
 ) -> None:
     """Measure and print every figure."""
-    warnings.simplefilter("ignore")
-    begin, seed = time.time(), int(time.time()) if seed is None else seed
-    out, rng, model = Figures(), np.random.default_rng(seed), rig()
-    desired = nominal_plant(model, STATES, DT).closed(F0)
-    out.say(f"seed {seed}; F0 on the nominal rig: |z| {desired.radius:.6f}")
-    gains = strong_motor(out, model, desired, 11 if small else 16)
-    random_plants(out, model, desired, 3 if small else 200, 11 if small else 12, rng)
-    rig_runs(out, model, gains, seed)
-    result = {"seed": seed, "seconds": time.time() - begin, "figures": out.entries}
-    if as_json:
-        print(json.dumps(result, indent=2))
+    run(partial(study, small=small), seed, as_json)
 
 
 if __name__ == "__main__":

@@ -10,23 +10,22 @@ nonlinear and with noisy sensors.
 
 from __future__ import annotations
 
-import json
 import os
 import sys
-import time
-import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[_name] = "1"
 ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "envs")]
+sys.path[:0] = [str(ROOT), str(ROOT / "envs"), str(ROOT / "scripts")]
 
 import gymnasium  # noqa: E402
 import numpy as np  # noqa: E402
 import typer  # noqa: E402
+from tuning_study import Figures, random_plants, run  # noqa: E402
 
 from physid.effects.catalogue import load_model  # noqa: E402
 from physid.record import MSequence  # noqa: E402
@@ -46,17 +45,27 @@ from physid.tuning import (  # noqa: E402
 )
 from physid.tuning.intergrid import printed_curvature  # noqa: E402
 from physid.tuning.loop import respond  # noqa: E402
-from physid.tuning.nominal import nominal_plant  # noqa: E402
 from physid.tuning.observer import design_observer, observed_loop  # noqa: E402
+from physid.tuning.published import (  # noqa: E402
+    CHAPTER_6_NOMINAL,
+    CHAPTER_6_TRUE,
+    NOMINAL,
+    PRINTED_NOMINAL,
+    PRINTED_TRUE,
+    TRUE,
+    TWO_GAIN,
+    TWO_NOMINAL,
+    TWO_TRUE,
+)
+from physid.tuning.published import ROBOT_GAIN as F0  # noqa: E402
+from physid.tuning.published import ROBOT_OUTPUT as OUTPUT  # noqa: E402
+from physid.tuning.published import ROBOT_STATES as STATES  # noqa: E402
+from physid.tuning.published import ROBOT_STEP as DT  # noqa: E402
 from physid.tuning.response import measure  # noqa: E402
 from physid.tuning.trial import linear_experiment, step_error, try_tuning  # noqa: E402
 
-DT = 0.005
 SPAN = 10.0
 """Length of the step responses whose error is tabulated, s; the thesis gives none."""
-STATES = ("tilt_rate", "tilt_angle", "wheel_rate", "wheel_angle")
-F0 = np.array([[-5.98, -50.5, -1.53, -3.21]])
-OUTPUT = np.array([[1.0, 0.0, 0.0, 0.0]])
 NO_MARGINS = Margins(modulus=0.0, radius=1.0)
 PARAMETERS = (
     *("body.mass", "body.com.z", "body.inertia", "wheels.mass", "roll.armature"),
@@ -64,20 +73,6 @@ PARAMETERS = (
 )
 
 
-def robot(first: list[float], third: list[float], drive: list[float]) -> tuple[Any, Any]:
-    """Return A and B from the rows of the accelerations."""
-    a = np.zeros((4, 4))
-    a[0, :3], a[1, 0], a[2, :3], a[3, 2] = first, 1.0, third, 1.0
-    return a, np.array([[drive[0]], [0.0], [drive[1]], [0.0]])
-
-
-# Inside the rounding of (4.12), its A(1,3) corrected, and (4.13): with these the tables come out.
-TRUE = robot([-0.0061, 155.874, 4.975], [0.017, -432.5, -19.5], [-16.44, 64.479])
-NOMINAL = robot([-0.0057, 138.291, 4.064], [0.013, -276.837, -12.892], [-13.037, 42.224])
-PRINTED_TRUE = robot([-0.0061, 156, 5], [0.017, -432, -20], [-16, 64])
-PRINTED_NOMINAL = robot([-0.0057, 164, 4], [0.013, -378, -13], [-13, 42])
-SIX_A = robot([-0.012, 164, 9.4], [0.031, -448, -36], [-31, 117])
-SIX_B = robot([-0.0059, 143, 3.8], [0.013, -306, -12], [-12, 39])
 CASES = {
     1: (None, Unconstrained()),
     2: (OUTPUT, Unconstrained()),
@@ -93,48 +88,6 @@ EXPECTED = {
     "analogue": ({1: 1.933, 2: 1.563, 5: 1.556}, {1: 0.332, 3: 0.454, 5: 0.319}),
     "digital": ({1: 2.254, 2: 1.824, 5: 1.822}, {1: 0.336, 3: 0.586, 5: 0.315}),
 }
-
-# Two inputs: the plant, its nominal model, and F0, the nominal regulator rounded.
-TWO_TRUE = LinearPlant(
-    a=np.array([[0.9, 0.07, -0.07], [-0.22, 0.79, -0.25], [0.02, 0.34, 0.78]]),
-    b=np.array([[-0.31, 0.24], [0.18, 0.05], [-0.47, -0.01]]),
-    dt=1.0,
-)
-TWO_NOMINAL = LinearPlant(
-    a=np.array([[0.93, 0.09, -0.08], [-0.24, 1.02, -0.21], [0.02, 0.36, 0.57]]),
-    b=np.array([[-0.17, 0.24], [0.17, 0.07], [-0.53, -0.01]]),
-    dt=1.0,
-)
-TWO_GAIN = np.array([[-0.9, 0.98, -0.62], [1.18, 0.14, -0.29]])
-
-
-@dataclass
-class Figures:
-    """What was measured beside what is asked for."""
-
-    entries: list[dict[str, Any]] = field(default_factory=list)
-    lines: list[str] = field(default_factory=list)
-
-    def add(self, name: str, value: float, op: str, bound: Any) -> None:
-        """Keep a figure and whether it holds."""
-        tests = {
-            "<=": lambda: value <= bound,
-            ">=": lambda: value >= bound,
-            "in": lambda: bound[0] <= value <= bound[1],
-        }
-        holds = bool(tests[op]())
-        entry = {"name": name, "value": float(value), "op": op, "bound": bound, "holds": holds}
-        self.entries.append(entry)
-        self.say(f"{'holds' if holds else 'FAILS'}  {name}: {value:.6g} {op} {bound}")
-
-    def near(self, name: str, value: float, target: float, share: float) -> None:
-        """Keep a figure that must be within a share of its target."""
-        self.add(name, value, "in", [target * (1 - share), target * (1 + share)])
-
-    def say(self, line: str) -> None:
-        """Print a line on standard error at once."""
-        self.lines.append(line)
-        print(line, file=sys.stderr, flush=True)
 
 
 @dataclass(frozen=True)
@@ -214,7 +167,7 @@ def chapters_4_and_5(out: Figures, loop: Loop, name: str, stages: int) -> None:
 
 def chapter_6(out: Figures, stages: int) -> None:
     """Table 6.2, true and nominal robot exchanged, F0 of chapter 4."""
-    true, desired = sampled(*SIX_A, DT), sampled(*SIX_B, DT).closed(F0)
+    true, desired = sampled(*CHAPTER_6_TRUE, DT), sampled(*CHAPTER_6_NOMINAL, DT).closed(F0)
     for size in (stages, 9):
         experiment = linear_experiment(true, F0, MSequence(stages=size, clock=DT, periods=2))
         response = measure(experiment)
@@ -351,39 +304,28 @@ def several_inputs(out: Figures) -> None:
     out.add("two inputs: cost over F0's", found.costs[1] / found.costs[0], "<=", 1.0)
 
 
-def random_plants(out: Figures, count: int, stages: int, rng: np.random.Generator) -> None:
+def random_robots(out: Figures, count: int, stages: int, rng: np.random.Generator) -> None:
     """Robots with every parameter within 30 % of the rig's, without and with sensor noise."""
-    model, base = load_model(rig_path("two_wheel_robot")), {}
-    base = {name: model.parameter(name).value for name in PARAMETERS}
-    desired = sampled(*NOMINAL, DT).closed(F0)
-    sequence = MSequence(stages=stages, clock=DT, periods=2)
-    for noise in (0.0, 0.01):
-        trials, refused = [], 0
-        while len(trials) < count:
-            values = {k: v * rng.uniform(0.7, 1.3) for k, v in base.items()}
-            plant = nominal_plant(model.with_values(values), STATES, DT)
-            found = try_tuning(
-                plant, desired, F0, OUTPUT, sequence, noise=noise, rng=rng, span=SPAN
-            )
-            refused += found is None
-            trials += [found] if found is not None else []
-        name = f"{count} random robots, {100 * noise:g} % noise"
-        out.say(f"{name}: {refused} more that F0 does not stabilise were left out")
-        out.add(
-            f"{name}: certified and unstable",
-            sum(t.certified and not t.stable for t in trials),
-            "<=",
-            0,
-        )
-        out.add(
-            f"{name}: share with a certified better gain",
-            np.mean([t.better for t in trials]),
-            ">=",
-            0.8,
-        )
-        out.add(
-            f"{name}: unconstrained and unstable", sum(not t.plain_stable for t in trials), ">=", 1
-        )
+    tried = partial(
+        try_tuning,
+        desired=sampled(*NOMINAL, DT).closed(F0),
+        gain=F0,
+        outputs=OUTPUT,
+        sequence=MSequence(stages=stages, clock=DT, periods=2),
+        rng=rng,
+        span=SPAN,
+    )
+    random_plants(
+        out,
+        "robots",
+        model=load_model(rig_path("two_wheel_robot")),
+        parameters=PARAMETERS,
+        states=STATES,
+        dt=DT,
+        count=count,
+        rng=rng,
+        tried=lambda plant, noise: tried(plant, noise=noise),
+    )
 
 
 def in_mujoco(gain: Any, seconds: float, seed: int, *, pushes: bool) -> tuple[float, float]:
@@ -422,18 +364,9 @@ def rig_runs(out: Figures, gains: dict[str, Any], seconds: float, seed: int) -> 
     out.add("MuJoCo with pushes: cost over F0's", costs["matching"] / costs["F0"], "<=", 1.0)
 
 
-def main(
-    seed: Annotated[
-        int | None, typer.Option(help="Of everything random; the clock's else.")
-    ] = None,
-    small: Annotated[bool, typer.Option(help="Shorter records, fewer plants.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object alone.")] = False,
-) -> None:
-    """Measure and print every figure."""
-    warnings.simplefilter("ignore")
-    begin, seed = time.time(), int(time.time()) if seed is None else seed
-    out, rng = Figures(), np.random.default_rng(seed)
-    stages = 11 if small else 15
+def study(out: Figures, seed: int, *, small: bool) -> None:
+    """Measure every figure."""
+    rng, stages = np.random.default_rng(seed), 11 if small else 15
     for name, analogue in (("analogue", True), ("digital", False)):
         chapters_4_and_5(out, Loop(TRUE, NOMINAL, analogue), name, stages)
     chapters_4_and_5(
@@ -442,11 +375,19 @@ def main(
     out.say("printed matrices: rounding moves column 3 off B, so only the ordering comes out")
     chapter_6(out, stages)
     gains = beyond(out, min(stages, 13))
-    random_plants(out, 3 if small else 100, 11 if small else 12, rng)
+    random_robots(out, 3 if small else 200, 11 if small else 12, rng)
     rig_runs(out, gains, 5.0 if small else 60.0, seed)
-    result = {"seed": seed, "seconds": time.time() - begin, "figures": out.entries}
-    if as_json:
-        print(json.dumps(result, indent=2))
+
+
+def main(
+    seed: Annotated[
+        int | None, typer.Option(help="Of everything random; the clock's else.")
+    ] = None,
+    small: Annotated[bool, typer.Option(help="Shorter records, fewer plants.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object alone.")] = False,
+) -> None:
+    """Measure and print every figure."""
+    run(partial(study, small=small), seed, as_json)
 
 
 if __name__ == "__main__":

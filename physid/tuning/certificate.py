@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -98,7 +97,7 @@ class Judge:
         """Return what grid, tail and noise may hide at every grid point."""
         change = gain - self.response.gain
         path = np.linalg.norm(
-            np.einsum("ij,tjm->tim", change, damped(self.response.impulse, self.margins.radius)),
+            np.einsum("ij,tjm->tim", change, damped(self.response.whole, self.margins.radius)),
             axis=(1, 2),
         )
         gamma = float(np.sum(np.arange(float(len(path))) ** 2 * path))
@@ -113,7 +112,7 @@ class Judge:
         found = self.response.envelope(gain, self.margins.radius)
         if found.rate <= 1.0:
             return np.inf
-        return 2.0 * found.tail(len(self.response.impulse))
+        return 2.0 * found.tail(len(self.response.whole))
 
     def _verdict(self, s: Complex, winding: int, guaranteed: float, gain: Array) -> Certificate:
         wanted = self.margins.modulus * (1.0 - ROUNDING)
@@ -154,7 +153,7 @@ class Judge:
 
 def make_judge(response: Response, margins: Margins) -> Judge:
     """Prepare the certification of gains tuned from one record."""
-    grid = response.fine_grid(margins.radius)
+    grid = response.judging_grid(margins.radius)
     return Judge(
         response=response,
         margins=margins,
@@ -167,22 +166,11 @@ def make_judge(response: Response, margins: Margins) -> Judge:
 def noise_factor(response: Response, confidence: float, points: int) -> float:
     r"""Return q so that |(F - F0) E| <= q epsilon for every gain at every grid point at once.
 
-    For one point, E* S^-1 E with a covariance S estimated from b blocks has Hotelling's
-    distribution for n complex numbers, n b / (b - n + 1) F(2 n, 2 (b - n + 1)), and bounds all
-    directions F - F0, the chosen one included; Bonferroni's inequality joins points and inputs.
+    For one point it is Hotelling's and bounds all directions F - F0, the chosen one included;
+    Bonferroni's inequality joins points and inputs.
     """
-    n, m = response.impulse.shape[1:]
-    return _factor(response.blocks, n, (1.0 - confidence) / (points * m))
-
-
-@lru_cache(maxsize=64)
-def _factor(blocks: int, n: int, level: float) -> float:
-    from scipy.stats import f
-
-    if blocks <= n:
-        return float("inf")
-    free = blocks - n + 1
-    return float(np.sqrt(n * blocks / free * f.isf(level, 2 * n, 2 * free)))
+    m = response.impulse.shape[2]
+    return response.noise.quantile((1.0 - confidence) / (points * m)) if response.noisy else 0.0
 
 
 def _clearance(s: Complex) -> Array:

@@ -127,6 +127,13 @@ class TuningResult:
             "The certificate takes the loop for linear and its impulse response to go on decaying "
             "as it did within the record; it says nothing of amplitudes the record has not seen."
         )
+        response = self.tuned.response
+        if response.noisy and 1.0 - self.tuned.margins.radius < 1.0 / response.period:
+            found.append(
+                f"The certificate takes the loop with F0 to forget within half the excitation's "
+                f"period of {response.period} samples. Slower modes may hide in the noise: where "
+                "there can be any, record a longer period."
+            )
         if self.tuned.constraint.name in ("none", "nyquist-open"):
             found.append(
                 f"The constraint {self.tuned.constraint.name} is for study: it does not keep a loop "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from importlib import import_module
 from typing import Any
 
@@ -12,10 +13,13 @@ from physid.tuning.fictitious import Quadratic
 from physid.tuning.inequalities import Inequalities
 
 Array = npt.NDArray[np.float64]
+Complex = npt.NDArray[np.complex128]
 Index = npt.NDArray[np.int64]
 
 cp: Any = import_module("cvxpy")  # its annotations leave out what it imports by star
 
+FIRST = 40
+"""Inequalities to begin with, for one input."""
 ROUNDS = 40
 """Most times that violated inequalities are added."""
 TOLERANCE = 1e-7
@@ -46,7 +50,9 @@ def minimise(cost: Quadratic, rules: Inequalities | None, start: Array) -> Array
     best = cost.minimum.reshape(start.shape)
     if rules is None or rules.violation(best).max() <= TOLERANCE:
         return best
-    at = np.unique(np.linspace(0, len(rules.limit) - 1, 40).round().astype(np.int64))
+    # A semidefinite constraint is slow to write, so that fewer of them are tried at first.
+    count = max(2, FIRST // start.shape[0] ** 2)
+    at = np.unique(np.linspace(0, len(rules.limit) - 1, count).round().astype(np.int64))
     at = np.union1d(at, _worst(rules.violation(best)))
     instants = np.zeros(0, dtype=np.int64)
     for _ in range(ROUNDS):
@@ -92,7 +98,10 @@ def _relaxed(
     limits = _limits(rules, at, instants, gain)
     problem = cp.Problem(cp.Minimize(cp.norm(step)), limits)
     try:
-        problem.solve(solver=cp.CLARABEL)
+        with warnings.catch_warnings():
+            # All inequalities are checked by `minimise`, so an inaccurate solution does no harm.
+            warnings.filterwarnings("ignore", message="Solution may be inaccurate")
+            problem.solve(solver=cp.CLARABEL)
     except (cp.SolverError, ValueError):
         return None
     if problem.status not in ("optimal", "optimal_inaccurate") or step.value is None:
@@ -107,11 +116,7 @@ def _limits(rules: Inequalities, at: Index, instants: Index, gain: Any) -> list[
     room = cp.multiply(rules.weight[at], _epsilon(rules, at, change) + delta)
     if gain.shape[0] == 1:
         return [*limits, _one_input(rules, at, gain, room)]
-    parts = [
-        _several(rules, j, gain @ rules.slope[j] - rules.offset[j], room[k])
-        for k, j in enumerate(at.tolist())
-    ]
-    return [*limits, *parts]
+    return [*limits, *_several(rules, at, gain, room)]
 
 
 def _delta(rules: Inequalities, instants: Index, change: Any) -> tuple[Any, list[Any]]:
@@ -151,9 +156,38 @@ def _one_input(rules: Inequalities, at: Index, gain: Any, room: Any) -> Any:
     return cp.norm(cp.vstack([real, imaginary]), axis=0) + room <= rules.limit[at]
 
 
-def _several(rules: Inequalities, j: int, x: Any, room: Any) -> Any:
-    """Write a matrix disc or half-plane: a semidefinite constraint."""
-    if rules.shape == "disc":
-        return cp.sigma_max(x) + room <= rules.limit[j]
-    whole = np.eye(x.shape[0]) + 0.5 * (x + cp.conj(x.T))
-    return cp.lambda_min(whole) >= room + rules.limit[j]
+def _several(rules: Inequalities, at: Index, gain: Any, room: Any) -> list[Any]:
+    """Write matrix discs or half-planes of several inputs: real semidefinite constraints.
+
+    Every matrix is affine in the gain, so its coefficients are computed here and cvxpy sees one
+    product for all of them: written entry by entry, complex, it would take minutes to read them.
+    """
+    size = gain.size
+    units = np.eye(size).reshape(size, *gain.shape)
+    slopes = _real(np.einsum("kan,jnb->jkab", units, rules.slope[at]), rules.shape)
+    offsets = _real(rules.offset[at], rules.shape)
+    d = offsets.shape[-1]
+    free = rules.limit[at] if rules.shape == "disc" else 1.0 - rules.limit[at]
+    known = free[:, None, None] * np.eye(d) - offsets
+    table = slopes.reshape(len(at), size, d * d).transpose(0, 2, 1).reshape(-1, size)
+    spare = np.kron(np.eye(len(at)), np.eye(d).reshape(-1, 1))
+    spent = cp.Variable(len(at))  # the room: matrices must be affine, and it is only convex
+    entries = table @ cp.reshape(gain, (size,), order="C") + known.ravel() - spare @ spent
+    matrices = cp.reshape(entries, (len(at), d * d), order="C")
+    blocks = [cp.reshape(matrices[k], (d, d), order="C") >> 0 for k in range(len(at))]
+    return [room <= spent, *blocks]
+
+
+def _real(x: Complex, shape: str) -> Array:
+    """Return real symmetric matrices whose least eigenvalue is that of the Hermitian ones meant.
+
+    Those are (0 X; X* 0) for a disc, with the least eigenvalue -sigma_max(X), and the Hermitian
+    part of X for a half-plane.
+    """
+    adjoint = np.conj(np.swapaxes(x, -1, -2))
+    if shape == "disc":
+        zero = np.zeros_like(x)
+        whole = np.block([[zero, x], [adjoint, zero]])
+    else:
+        whole = 0.5 * (x + adjoint)
+    return np.asarray(np.block([[whole.real, -whole.imag], [whole.imag, whole.real]]))

@@ -155,7 +155,11 @@ def _cost(
 def _updates(
     cost: Quadratic | Matching, rule: Constraint, judge: Judge, safeguard: bool
 ) -> list[Update]:
-    """Update until three updates in a row change cost and curve by little."""
+    """Update until three updates in a row change next to nothing, or lower the cost no more.
+
+    The cost may rise: the half-planes of a gain, less what is hidden between grid points, need not
+    contain the gain itself. With the safeguard, what follows the least cost is dropped.
+    """
     start = judge.response.gain
     found = [Update(gain=start, cost=cost.value(start), certificate=judge.certify(start))]
     calm, once = 0, not rule.iterated and isinstance(cost, Quadratic)
@@ -163,10 +167,14 @@ def _updates(
         gain = _next(cost, rule, judge, found[-1].gain, safeguard)
         if gain is None:
             break
+        least = min(update.cost for update in found)
         found.append(Update(gain=gain, cost=cost.value(gain), certificate=judge.certify(gain)))
         if once:
             break
-        calm = calm + 1 if _settled(found[-2], found[-1], judge) else 0
+        vain = safeguard and found[-1].cost >= least
+        calm = calm + 1 if vain or _settled(found[-2], found[-1], judge) else 0
+    if safeguard and not isinstance(rule, Unconstrained):
+        del found[1 + min(range(len(found)), key=lambda k: found[k].cost) :]
     return found
 
 

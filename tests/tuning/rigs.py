@@ -1,30 +1,30 @@
 """The robot of the thesis as a pair of models that gives its tables, and records of its loop."""
 
-import numpy as np
-
 from physid.record import MSequence
 from physid.tuning import sampled
+from physid.tuning.published import NOMINAL, TRUE, robot
+from physid.tuning.published import ROBOT_GAIN as F0
+from physid.tuning.published import ROBOT_OUTPUT as FIRST
+from physid.tuning.published import ROBOT_STEP as DT
 from physid.tuning.trial import linear_experiment
 
-DT = 0.005
-F0 = np.array([[-5.98, -50.5, -1.53, -3.21]])
-FIRST = np.array([[1.0, 0.0, 0.0, 0.0]])
-
-
-def robot(first, third, drive):
-    a = np.zeros((4, 4))
-    a[0, :3], a[1, 0], a[2, :3], a[3, 2] = first, 1.0, third, 1.0
-    return sampled(a, np.array([[drive[0]], [0.0], [drive[1]], [0.0]]), DT)
+__all__ = ["DT", "F0", "FIRST", "nominal_robot", "recorded", "slow_robot", "true_robot"]
 
 
 def true_robot():
-    return robot([-0.0061, 155.874, 4.975], [0.017, -432.5, -19.5], [-16.44, 64.479])
+    return sampled(*TRUE, DT)
 
 
 def nominal_robot():
-    return robot([-0.0057, 138.291, 4.064], [0.013, -276.837, -12.892], [-13.037, 42.224])
+    return sampled(*NOMINAL, DT)
 
 
-def recorded(stages=11, **options):
+def slow_robot():
+    """One of the random robots, whose loop with F0 has a pole at 0.9998."""
+    first, third = [-0.00538305, 168.397, 5.81703], [0.0184909, -578.448, -26.8294]
+    return sampled(*robot(first, third, [-13.2198, 60.9727]), DT)
+
+
+def recorded(stages=11, plant=None, **options):
     sequence = MSequence(stages=stages, clock=DT, periods=2)
-    return linear_experiment(true_robot(), F0, sequence, **options)
+    return linear_experiment(plant or true_robot(), F0, sequence, **options)

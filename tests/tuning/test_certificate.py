@@ -5,16 +5,17 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from physid.record import MSequence
-from physid.tuning import Margins
+from physid.tuning import Margins, tune_gain
 from physid.tuning.certificate import make_judge
 from physid.tuning.loop import LinearPlant
 from physid.tuning.response import measure
 from physid.tuning.trial import linear_experiment
 
-from .rigs import F0, recorded, true_robot
+from .rigs import F0, FIRST, nominal_robot, recorded, slow_robot, true_robot
 
 CLEAN = measure(recorded(11))
 NOISY = measure(recorded(11, noise=0.02, rng=np.random.default_rng(7)))
+JUDGES = [make_judge(response, Margins(modulus=0.02)) for response in (CLEAN, NOISY)]
 SIZES = st.lists(st.floats(-1.5, 1.5), min_size=4, max_size=4)
 
 
@@ -26,8 +27,8 @@ def outside(gain, radius=1.0):
 @given(SIZES)
 def test_no_unstable_gain_is_certified(sizes):
     gain = F0 * (1.0 + np.array(sizes))
-    for response in (CLEAN, NOISY):
-        found = make_judge(response, Margins(modulus=0.02)).certify(gain)
+    for judge in JUDGES:
+        found = judge.certify(gain)
         if found.certified:
             assert outside(gain, 1.0 - 1e-4) == 0
 
@@ -82,3 +83,32 @@ def test_more_noise_guarantees_less():
     gain = F0 * [[1.05, 0.9, 1.0, 0.8]]
     clean, noisy = (make_judge(r, Margins()).certify(gain).guaranteed for r in (CLEAN, NOISY))
     assert noisy < clean
+
+
+def test_noise_is_covered_in_every_direction():
+    """The ellipsoid holds the error at all frequencies at once, so that of any chosen gain too."""
+    failed = 0
+    for seed in range(12):
+        response = measure(recorded(10, noise=0.01, rng=np.random.default_rng(300 + seed)))
+        judge = make_judge(response, Margins())
+        grid = judge.grid
+        true = true_robot().closed(F0).frequency_response(grid.angle, judge.margins.radius)
+        error = np.linalg.solve(grid.spread[:, 0], grid.response - true)[..., 0]
+        failed += np.linalg.norm(error, axis=1).max() > 1.02 * judge.factor
+    assert failed <= 1
+
+
+def test_a_slow_mode_below_the_noise_does_not_hide():
+    """A robot whose response sinks into the noise after 62 lags, its slowest pole at 0.9998.
+
+    With those lags alone, a gain with a pole at 1.003 was certified.
+    """
+    rng = np.random.default_rng(0)
+    certified = 0
+    for _ in range(3):
+        experiment = recorded(11, slow_robot(), noise=0.01, rng=rng)
+        desired = nominal_robot().closed(F0)
+        found = tune_gain(experiment, desired, outputs=FIRST, criterion="matching")
+        certified += found.certified
+        assert slow_robot().closed(found.gain).radius < 1.0
+    assert certified

@@ -66,7 +66,7 @@ def test_standard_errors_cover_the_truth():
     errors, said = [], []
     for _ in range(40):
         response = measure(recorded(10, noise=0.01, rng=rng))
-        grid = response.fine_grid(points=512)
+        grid = response.judging_grid(points=512)
         exact = true_robot().closed(F0).frequency_response(grid.angle) if exact is None else exact
         errors.append(np.abs(grid.response - exact)[5:200, :, 0] ** 2)
         said.append(np.sum(np.abs(grid.spread) ** 2, axis=3)[5:200, 0])
