@@ -50,7 +50,7 @@ def as_record(rig: Rig, run: Run) -> Record:
     return Record(time=run.time, columns=tuple(columns), values=values)
 
 
-def options(rig: Rig, start: dict[str, float]) -> Options:
+def options(rig: Rig, start: dict[str, float], jobs: int = 1) -> Options:
     """Free the rig's parameters within a tenth and ten times of where they start."""
     added = [
         f"{site}:{n.rsplit('.', 1)[1]}={v!r}"
@@ -59,13 +59,17 @@ def options(rig: Rig, start: dict[str, float]) -> Options:
         if n.startswith(site + ".")
     ]
     return Options(
-        fit=list(start), bounds={n: (0.1 * v, 10 * v) for n, v in start.items()}, add=added, steps=1
+        fit=list(start),
+        bounds={n: (0.1 * v, 10 * v) for n, v in start.items()},
+        add=added,
+        steps=1,
+        jobs=jobs,
     )
 
 
-def own_fit(rig: Rig, run: Run, start: dict[str, float]) -> Own:
+def own_fit(rig: Rig, run: Run, start: dict[str, float], *, jobs: int = 1) -> Own:
     """Fit a rig's parameters from a start."""
-    model, record, settings = loaded(rig, start), as_record(rig, run), options(rig, start)
+    model, record, settings = loaded(rig, start), as_record(rig, run), options(rig, start, jobs)
     began = time.process_time()
     study = prepare(model, [record], settings)
     problem, estimate, error = estimated(study)
@@ -93,5 +97,5 @@ def own_diagnosis(rig: Rig, run: Run, start: dict[str, float]) -> tuple[float, s
     """Diagnose the record with the whole catalogue; return seconds of processor and the sentence."""
     model, record = loaded(rig, start), as_record(rig, run)
     began = time.process_time()
-    found = physid.diagnose(model, [record], fit=list(start))
+    found = physid.diagnose(model, [record], fit=list(start), steps=1)
     return time.process_time() - began, str(found.as_dict()["sentence"])

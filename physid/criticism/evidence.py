@@ -12,8 +12,8 @@ from physid.errors import NumericsError
 from physid.identification.estimate import Estimate
 from physid.identification.linearisation import linearise
 from physid.identification.noise import correlation_time
-from physid.identification.preselection import orthonormal
 from physid.identification.problem import Problem
+from physid.identification.screening import orthonormal
 from physid.identification.staged import states_only
 from physid.identification.uncertainty import bartlett
 

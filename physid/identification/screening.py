@@ -18,14 +18,6 @@ from physid.effects.catalogue import CATALOGUE, places_of
 from physid.errors import ModelError
 from physid.identification.estimate import Estimate
 from physid.identification.linearisation import Linearisation, linearise
-from physid.identification.preselection import (
-    Balanced,
-    balances_of,
-    orthonormal,
-    promising_trials,
-    values_of,
-    with_shape,
-)
 from physid.identification.problem import Problem, residuals_of, with_activations
 from physid.plant.callback import run_time_laws
 from physid.plant.effect import Effect, Placed, Scales, Trial
@@ -34,6 +26,12 @@ from physid.plant.structure import Place, tendon_row
 
 PROBES = 400
 """Instants at which forces are looked at to size the candidates."""
+MANY = 16
+"""Shapes of an effect from which on they are tried on a third of the windows first."""
+KEPT = 10
+"""... and so many on all."""
+FEWEST_WINDOWS = 4
+"""Windows from which on a third of them tells shapes apart."""
 MOST_SAMPLES = 12000
 """Samples used for screening; more are thinned by leaving out windows."""
 
@@ -192,7 +190,6 @@ class Ground:
     basis: np.ndarray
     remaining: np.ndarray
     scales: dict[Place, Scales]
-    balances: list[Balanced]
 
 
 def ground_of(problem: Problem, estimate: Estimate) -> Ground:
@@ -207,14 +204,27 @@ def ground_of(problem: Problem, estimate: Estimate) -> Ground:
         basis=basis,
         remaining=remaining,
         scales=scales_of(problem, estimate),
-        balances=balances_of(problem, estimate),
     )
+
+
+def orthonormal(columns: np.ndarray) -> np.ndarray:
+    """Return an orthonormal basis of the columns (m, p), those without length left out."""
+    norms = np.linalg.norm(columns, axis=0)
+    kept = columns[:, norms > 0] / norms[norms > 0]
+    if not kept.shape[1]:
+        return np.zeros((len(columns), 0))
+    u, s, _ = np.linalg.svd(kept, full_matrices=False)
+    return np.asarray(u[:, s > 1e-7 * s[0]])
 
 
 def thinned_fit(problem: Problem, estimate: Estimate) -> tuple[Problem, Estimate]:
     """Leave out windows until at most :data:`MOST_SAMPLES` samples remain."""
     total = sum(len(w.starts) * w.samples for w in problem.windows)
-    stride = int(np.ceil(total / MOST_SAMPLES))
+    return every(int(np.ceil(total / MOST_SAMPLES)), problem, estimate)
+
+
+def every(stride: int, problem: Problem, estimate: Estimate) -> tuple[Problem, Estimate]:
+    """Keep one window in so many."""
     if stride <= 1:
         return problem, estimate
     picks = [np.arange(0, len(w.starts), stride) for w in problem.windows]
@@ -251,20 +261,39 @@ def screen(
     list of Scored
         Best first.
     """
-    ground = ground_of(*thinned_fit(problem, estimate))
+    problem, estimate = thinned_fit(problem, estimate)
+    ground = ground_of(problem, estimate)
+    sketch = _sketch(problem, estimate)
     found: list[Scored] = []
     for effect, place in candidates:
         if place in ground.scales:
-            own = sorted(_scores(ground, effect, place), key=lambda s: -s[0])
+            trials = _promising(sketch, effect, place, effect.trials(ground.scales[place]))
+            own = sorted(_scores(ground, effect, place, trials), key=lambda s: -s[0])
             found += [_started(ground, effect, place, *s) for s in own[:per_effect]]
     return sorted(found, key=lambda s: -s.gain)
 
 
+def _sketch(problem: Problem, estimate: Estimate) -> Ground | None:
+    """Return the ground on a third of the windows, if there are enough."""
+    if min(len(w.starts) for w in problem.windows) < FEWEST_WINDOWS:
+        return None
+    return ground_of(*every(3, problem, estimate))
+
+
+def _promising(
+    sketch: Ground | None, effect: Effect, place: Place, trials: Sequence[Trial]
+) -> Sequence[Trial]:
+    """Leave out shapes of an effect with many that do little on a third of the windows."""
+    if sketch is None or len(trials) < MANY:
+        return trials
+    scored = sorted(_scores(sketch, effect, place, trials), key=lambda s: -s[0])
+    return [s[1] for s in scored[:KEPT]]
+
+
 def _scores(
-    ground: Ground, effect: Effect, place: Place
+    ground: Ground, effect: Effect, place: Place, trials: Sequence[Trial]
 ) -> list[tuple[float, Trial, np.ndarray, np.ndarray]]:
-    """Return gain, trial, amplitudes (c,) and response (m,) of every shape of an effect."""
-    trials = promising_trials(ground.balances, effect, place, effect.trials(ground.scales[place]))
+    """Return gain, trial, amplitudes (c,) and response (m,) of some shapes of an effect."""
     responses = iter(_responses(ground, effect, place, [c for t in trials for c in t.columns]))
     found = []
     for trial in trials:
@@ -341,3 +370,22 @@ def _making_room(ground: Ground, response: np.ndarray) -> np.ndarray:
 def shortlist(scored: Sequence[Scored], most: int) -> list[tuple[str, Place]]:
     """Return the first so many effects and places, in the order of their best scores."""
     return list(dict.fromkeys((s.effect.name, s.place) for s in scored))[:most]
+
+
+def with_shape(
+    problem: Problem,
+    theta: np.ndarray,
+    effect: Effect,
+    place: Place,
+    values: Mapping[str, float],
+) -> Problem:
+    """Return the fitted problem with an effect added whose coefficients are its only parameters."""
+    model = problem.at(theta).with_effect(Placed(effect, place, values))
+    site = model.site(model.effects[-1])
+    parameters = tuple(model.parameter(f"{site}.{c.name}") for c in effect.coefficients)
+    return replace(problem, model=model, parameters=parameters)
+
+
+def values_of(problem: Problem, values: Mapping[str, float]) -> np.ndarray:
+    """Return an effect's coefficients (c,) in the order of the problem's parameters."""
+    return np.array([float(values[p.name.rsplit(".", 1)[1]]) for p in problem.parameters])

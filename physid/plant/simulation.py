@@ -279,6 +279,7 @@ def delayed(u: np.ndarray, steps: float) -> np.ndarray:
 
     Before the record the input is taken to have been what it is at the first row.
     """
+    steps = min(steps, float(len(u)))
     whole = int(np.floor(steps))
     part = steps - whole
     index = np.arange(len(u)) - whole

@@ -1,0 +1,242 @@
+"""What the speed benchmark measures: fits and diagnoses against the peer, growth, memory, threads, starts."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from speed_own import own_diagnosis, own_fit
+from speed_peer import Fit, peer_fit
+from speed_problems import ANCHOR, ANCHOR_NONLINEAR, PENDULUM, Rig, Run, arm, chain, record
+
+HERE = Path(__file__).resolve().parent
+FIT_BOUNDS = {"anchor": 40.0, "pendulum": 40.0, "anchor8nl": 30.0, "chain4": 40.0, "arm6": 4.0}
+PEER_START = {"chain4": 0.05}
+"""Where the peer does not converge from a start 50 % off, it gets this one; physid keeps 50 %."""
+CONVERGED = 1.3
+"""Mean squares over the noise's below which a fit has found the minimum."""
+WRITTEN = 3
+"""Decimals of a share of the true value."""
+
+
+@dataclass(kw_only=True)
+class Outcome:
+    """Figures (the issue's), and rows of the tables that are printed beside them."""
+
+    figures: list[dict[str, Any]] = field(default_factory=list)
+    tables: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
+
+    def figure(self, name: str, value: float, op: str, bound: float) -> None:
+        """Add a figure and whether it holds."""
+        holds = value <= bound if op == "<=" else value >= bound
+        self.figures.append(
+            {"name": name, "value": value, "op": op, "bound": bound, "holds": bool(holds)}
+        )
+
+    def row(self, table: str, **cells: Any) -> None:
+        """Add a row to a table."""
+        self.tables.setdefault(table, []).append(cells)
+
+
+def fits(outcome: Outcome, seed: int, repeats: int, say: Callable[[str], None]) -> dict[str, Fit]:
+    """Fit every rig with both, turn by turn; return the peer's last fits."""
+    peers = {}
+    for rig in (ANCHOR, PENDULUM, ANCHOR_NONLINEAR, chain(4), arm()):
+        say(f"fits of {rig.name}")
+        run = record(rig, seed)
+        own_fit(rig, run, rig.start())  # compiles and fills the caches
+        share = PEER_START.get(rig.name, 0.5)
+        ratios, own, peer = [], [], []
+        for _ in range(repeats):
+            peer.append(peer_fit(rig, run, rig.start(share)))
+            own.append(statistics.median(own_fit(rig, run, rig.start()).fit for _ in range(3)))
+            ratios.append(peer[-1].seconds / own[-1])
+        last = own_fit(rig, run, rig.start())
+        peers[rig.name] = peer[-1]
+        outcome.row(
+            "fits",
+            rig=rig.name,
+            own_s=statistics.median(own),
+            closing_s=last.closing,
+            own_chi2=last.chi2,
+            peer_s=statistics.median(p.seconds for p in peer),
+            peer_start=share,
+            peer_rollouts=peer[-1].rollouts,
+            peer_chi2=peer[-1].chi2,
+            ratio=statistics.median(ratios),
+            lowest=min(ratios),
+            highest=max(ratios),
+            with_closing=statistics.median(p.seconds for p in peer)
+            / (statistics.median(own) + last.closing),
+        )
+        outcome.figure(
+            f"{rig.name}: peer's fit over physid's",
+            statistics.median(ratios),
+            ">=",
+            FIT_BOUNDS[rig.name],
+        )
+        outcome.figure(
+            f"{rig.name}: physid's mean squares over the noise's", last.chi2, "<=", CONVERGED
+        )
+    return peers
+
+
+def lacking(rig: Rig, name: str) -> Rig:
+    """Return a rig whose model lacks a friction loss that the truth has."""
+    left = {n: v for n, v in rig.truth.items() if n != name}
+    return replace(rig, text=rig.text.replace("{" + name + "}", "0"), truth=left)
+
+
+def hidden_anchor() -> tuple[Rig, Rig]:
+    """Return the anchor with hidden friction at its load, and its model."""
+    joint = "<joint name='l' axis='0 0 1'"
+    text = ANCHOR.text.replace(joint, joint + " frictionloss='{l.frictionloss}'")
+    full = replace(ANCHOR, text=text, truth={**ANCHOR.truth, "l.frictionloss": 0.02})
+    return full, lacking(full, "l.frictionloss")
+
+
+def diagnoses(outcome: Outcome, seed: int, repeats: int, say: Callable[[str], None]) -> None:
+    """Diagnose records with one hidden friction; compare with one peer's fit of the same record."""
+    cases = (
+        ("anchor", *hidden_anchor(), 1.0, 0.5, repeats),
+        ("arm6", arm(), lacking(arm(), "j2.frictionloss"), 3.0, 0.5, 1),
+    )
+    for name, full, lean, bound, share, times in cases:
+        say(f"diagnosis of {name}")
+        run = record(full, seed)
+        ratios, sentence, own = [], "", []
+        for k in range(times + (1 if times > 1 else 0)):
+            peer = peer_fit(lean, run, lean.start(share))
+            seconds, sentence = own_diagnosis(lean, run, lean.start(0.2))
+            if k or times == 1:
+                ratios.append(seconds / peer.seconds)
+                own.append(seconds)
+        outcome.row(
+            "diagnoses",
+            rig=name,
+            own_s=statistics.median(own),
+            peer_s=peer.seconds,
+            ratio=statistics.median(ratios),
+            lowest=min(ratios),
+            highest=max(ratios),
+            sentence=sentence,
+        )
+        outcome.figure(
+            f"{name}: diagnosis over one peer's fit", statistics.median(ratios), "<=", bound
+        )
+
+
+def growth(outcome: Outcome, seed: int, longest: float, say: Callable[[str], None]) -> None:
+    """Fit ever longer records of the anchor, each in a process of its own."""
+    say(f"records up to {longest:g} s")
+    lengths = [s for s in (1.0, 10.0, 100.0, 1000.0) if s <= longest]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "record.npz"
+        run = record(ANCHOR, seed, longest)
+        np.savez(path, time=run.time, inputs=run.inputs, outputs=run.outputs, sigma=run.sigma)
+        del run
+        for seconds in lengths:
+            outcome.row("record length", **_in_a_process(path, seconds))
+    rows = outcome.tables["record length"]
+    if len(rows) > 2:
+        times = [r["fit_s"] for r in rows]
+        slope = max(b / a for a, b in pairwise(times[1:]))
+        outcome.figure("growth of the fit's time per tenfold length", slope, "<=", 12.0)
+    if longest >= 1000.0:
+        outcome.figure("peak memory at 1000 s, 1 kHz [MB]", rows[-1]["peak_mb"], "<=", 500.0)
+
+
+def _in_a_process(path: Path, seconds: float) -> dict[str, Any]:
+    call = [sys.executable, str(HERE / "speed_studies.py"), str(path), str(seconds)]
+    done = subprocess.run(call, capture_output=True, text=True, check=True, env=_single())
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+def _single() -> dict[str, str]:
+    return {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+
+def one_length(path: str, seconds: float) -> dict[str, Any]:
+    """Fit the beginning of a record; return the time and the peak memory of this process."""
+    own_fit(ANCHOR, record(ANCHOR, 0, 1.0), ANCHOR.start())
+    with np.load(path, allow_pickle=False) as kept:
+        n = round(1000 * seconds)
+        run = Run(**{k: kept[k][:n] if k != "sigma" else kept[k] for k in kept.files})
+    found = own_fit(ANCHOR, run, ANCHOR.start())
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    return {
+        "seconds": seconds,
+        "fit_s": found.fit,
+        "closing_s": found.closing,
+        "chi2": found.chi2,
+        "peak_mb": peak,
+    }
+
+
+def chains(outcome: Outcome, seed: int, lengths: Sequence[int], say: Callable[[str], None]) -> None:
+    """Fit chains of ever more masses, two parameters each."""
+    worst = 0.0
+    for n in lengths:
+        say(f"a chain of {n}")
+        rig = chain(n, seconds=5.0)
+        run = record(rig, seed)
+        own_fit(rig, run, rig.start())
+        found = own_fit(rig, run, rig.start())
+        worst = max(worst, found.chi2)
+        outcome.row("chains", masses=n, parameters=2 * n, fit_s=found.fit, chi2=found.chi2)
+    outcome.figure("chains: largest mean squares over the noise's", worst, "<=", CONVERGED)
+
+
+def threads(outcome: Outcome, seed: int, say: Callable[[str], None]) -> None:
+    """Fit the arm with one thread and with two, by the clock on the wall."""
+    say("a second thread")
+    rig = arm()
+    run = record(rig, seed)
+    walls = []
+    for jobs in (1, 2):
+        begun = time.perf_counter()
+        own_fit(rig, run, rig.start(), jobs=jobs)
+        walls.append(time.perf_counter() - begun)
+    outcome.row("threads", one_s=walls[0], two_s=walls[1], ratio=walls[0] / walls[1])
+    outcome.figure("arm6: one thread over two", walls[0] / walls[1], ">=", 1.6)
+
+
+def cold_starts(outcome: Outcome, seed: int, say: Callable[[str], None]) -> None:
+    """Time the command line from a cold start, the compiled code being kept."""
+    say("cold starts")
+    run = record(ANCHOR, seed, 2.0)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "rig.xml").write_text(ANCHOR.mjcf(ANCHOR.start(0.2)), encoding="utf-8")
+        columns = np.column_stack([run.time, run.inputs, run.outputs])
+        header = ",".join(("time", *ANCHOR.inputs, *ANCHOR.sensors))
+        np.savetxt(folder / "run.csv", columns, delimiter=",", header=header, comments="")
+        free = "m.damping,l.damping,s.stiffness"
+        fit = ["fit", str(folder / "rig.xml"), str(folder / "run.csv"), "--fit", free]
+        for label, words, bound in (("--help", ["--help"], 0.3), ("a small fit", fit, 2.5)):
+            call = [sys.executable, "-m", "physid", *words]
+            taken = []
+            for _ in range(4):
+                begun = time.perf_counter()
+                subprocess.run(call, capture_output=True, check=True, env=_single())
+                taken.append(time.perf_counter() - begun)
+            value = statistics.median(taken[1:])
+            outcome.row("cold starts", command=label, wall_s=value)
+            outcome.figure(f"cold start of {label} [s]", value, "<=", bound)
+
+
+if __name__ == "__main__":
+    print(json.dumps(one_length(sys.argv[1], float(sys.argv[2]))))
