@@ -110,9 +110,7 @@ def numerators(pulled: Pulled, parameter: int, output: int) -> Numerators:
         n12=n12,
         n22=fit([x], [left], zero),
         n11=tuple(fit([sensor], [c], zero) for c in columns),
-        n21=tuple(
-            fit([x], [c], np.array([[v]])) for c, v in zip(columns, u_direct, strict=True)
-        ),
+        n21=tuple(fit([x], [c], np.array([[v]])) for c, v in zip(columns, u_direct, strict=True)),
         n0=tuple(
             fit([sensor, x], [c, left], np.array([[0.0, 0.0], [v, 0.0]]))
             for c, v in zip(columns, u_direct, strict=True)
