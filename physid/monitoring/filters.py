@@ -37,7 +37,8 @@ class Filter:
         """Filter runs of signals (runs, n, m) from rest, or from states (runs, k); (runs, n, p)."""
         start = np.zeros((len(signals), len(self.a))) if state is None else np.array(state)
         kernel = cast("Callable[..., np.ndarray]", _run)
-        return kernel(self.a, self.b, self.c, self.d, np.ascontiguousarray(signals), start)
+        own = np.ascontiguousarray
+        return kernel(own(self.a), own(self.b), own(self.c), own(self.d), own(signals), start)
 
     def select(self, outputs: np.ndarray, inputs: Sequence[int]) -> Filter:
         """Return the filter from some inputs to combinations of the outputs, (q, p)."""
