@@ -17,8 +17,7 @@ likely before.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import norm as gaussian
@@ -90,11 +89,11 @@ class Hypothesis:
     instants: np.ndarray
 
     def interval(self, confidence: float = 0.95) -> tuple[int, int]:
-        """Return the first and last sample of the shortest set with that probability."""
-        order = np.argsort(self.instants)[::-1]
-        count = int(np.searchsorted(np.cumsum(self.instants[order]), confidence)) + 1
-        chosen = order[:count]
-        return int(chosen.min()), int(chosen.max())
+        """Return the first and last sample of the interval that leaves out as much on either side."""
+        below = np.cumsum(self.instants)
+        tail = 0.5 * (1.0 - confidence)
+        ends = np.searchsorted(below, [tail, 1.0 - tail])
+        return int(ends[0]), int(min(ends[1], len(below) - 1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -198,7 +197,7 @@ class _Base:
             start = np.linalg.lstsq(basis, residual.ravel(), rcond=1e-10)[0]
             residual = residual - (basis @ start).reshape(residual.shape)
         shifts = np.zeros((residual.size, 0))
-        states = _states(rig, driven, start)
+        states = rig.states(driven, start)
         base = _Base(
             pulled=pulled,
             window=window,
@@ -214,8 +213,6 @@ class _Base:
         return base._with_shifts() if fitted else base
 
     def _with_shifts(self) -> _Base:
-        from dataclasses import replace
-
         weighted = self.filter.c / self.window.sigma[:, None]
         columns = []
         for j in range(len(self.pulled.names)):
@@ -245,13 +242,6 @@ class _Base:
         return states @ a.T + self.driven @ b.T, readings
 
 
-def _states(rig: Filter, driven: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Return the states (n, k) of a filter."""
-    k = len(rig.a)
-    whole = Filter(a=rig.a, b=rig.b, c=np.eye(k), d=np.zeros_like(rig.b), dt=rig.dt)
-    return whole.run(driven[None], start[None])[0]
-
-
 def _converged(base: _Base, j: int, index: int | None, iterations: int) -> tuple[Hypothesis, float]:
     """Return the best step of one parameter and the p-value of its first, linear gain."""
     states, delta = base.states, 0.0
@@ -263,8 +253,8 @@ def _converged(base: _Base, j: int, index: int | None, iterations: int) -> tuple
         limit = 0.9 * abs(float(base.pulled.nominal[j])) or abs(delta)
         delta = float(np.clip(delta, -limit, 10.0 * limit))
         states = base.states.copy()
-        states[before.index :] = _states(
-            base.moved(j, delta), base.driven[before.index :], base.states[before.index]
+        states[before.index :] = base.moved(j, delta).states(
+            base.driven[before.index :], base.states[before.index]
         )
         hypothesis, _ = _profile(base, j, delta, states, index)
         if (
@@ -349,8 +339,3 @@ def _chance(gain: float, norm: np.ndarray, following: np.ndarray, allowed: np.nd
     length = float(np.arccos(cosine).sum())
     root = np.sqrt(gain)
     return float(min(1.0, 2.0 * gaussian.sf(root) + np.exp(-0.5 * gain) / np.pi * length))
-
-
-def likeliest(weighed: Weighed, names: Sequence[str]) -> str:
-    """Return the name of the likeliest parameter."""
-    return names[weighed.best.parameter]

@@ -40,6 +40,12 @@ class Filter:
         own = np.ascontiguousarray
         return kernel(own(self.a), own(self.b), own(self.c), own(self.d), own(signals), start)
 
+    def states(self, signals: np.ndarray, start: np.ndarray) -> np.ndarray:
+        """Return the states (n, k) at the samples of signals (n, m) from a state (k,)."""
+        k = len(self.a)
+        whole = Filter(a=self.a, b=self.b, c=np.eye(k), d=np.zeros_like(self.b), dt=self.dt)
+        return whole.run(signals[None], start[None])[0]
+
     def select(self, outputs: np.ndarray, inputs: Sequence[int]) -> Filter:
         """Return the filter from some inputs to combinations of the outputs, (q, p)."""
         chosen = list(inputs)
@@ -119,28 +125,41 @@ def sampled(
     return Filter(a=ad, b=now + ad @ then, c=reading, d=d + reading @ then, dt=dt)
 
 
+def advance(filtered: Filter, signals: np.ndarray, state: np.ndarray) -> np.ndarray:
+    """Filter samples (n, m) from a state (k,), which is left as it is after them; (n, p)."""
+    kernel = cast("Callable[..., np.ndarray]", _advance)
+    own = np.ascontiguousarray
+    parts = (own(getattr(filtered, name)) for name in ("a", "b", "c", "d"))
+    return kernel(*parts, own(signals), state)
+
+
+@numba.njit(cache=True)
+def _advance(a, b, c, d, signals, x):  # type: ignore[no-untyped-def]
+    n, m = signals.shape
+    k, p = len(a), len(c)
+    out, after = np.empty((n, p)), np.empty(k)
+    for t in range(n):
+        for i in range(p):
+            total = 0.0
+            for j in range(k):
+                total += c[i, j] * x[j]
+            for j in range(m):
+                total += d[i, j] * signals[t, j]
+            out[t, i] = total
+        for i in range(k):
+            total = 0.0
+            for j in range(k):
+                total += a[i, j] * x[j]
+            for j in range(m):
+                total += b[i, j] * signals[t, j]
+            after[i] = total
+        x[:] = after
+    return out
+
+
 @numba.njit(cache=True)
 def _run(a, b, c, d, signals, start):  # type: ignore[no-untyped-def]
-    runs, n, m = signals.shape
-    k, p = len(a), len(c)
-    out = np.empty((runs, n, p))
-    after = np.empty(k)
-    for r in range(runs):
-        x = start[r].copy()
-        for t in range(n):
-            for i in range(p):
-                total = 0.0
-                for j in range(k):
-                    total += c[i, j] * x[j]
-                for j in range(m):
-                    total += d[i, j] * signals[r, t, j]
-                out[r, t, i] = total
-            for i in range(k):
-                total = 0.0
-                for j in range(k):
-                    total += a[i, j] * x[j]
-                for j in range(m):
-                    total += b[i, j] * signals[r, t, j]
-                after[i] = total
-            x[:] = after
+    out = np.empty((signals.shape[0], signals.shape[1], len(c)))
+    for r in range(signals.shape[0]):
+        out[r] = _advance(a, b, c, d, signals[r], start[r])
     return out

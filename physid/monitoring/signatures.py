@@ -119,7 +119,9 @@ def _product(out, left, right):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _products(a, at, c, readings, kicks, signals):  # type: ignore[no-untyped-def]
+def _products(  # type: ignore[no-untyped-def]  # noqa: C901 - loops by hand, and hot
+    a, at, c, readings, kicks, signals
+):
     n, k = kicks.shape
     m, p = signals.shape[1], len(c)
     states, powers, full = np.zeros((n + 1, k)), np.zeros((n, k, k)), np.zeros((n, p))
