@@ -101,7 +101,7 @@ def estimate(
     *,
     sigma: np.ndarray | None = None,
     instrument: np.ndarray | None = None,
-    scale: float = 0.0,
+    scale: float | None = None,
 ) -> Estimate:
     """Estimate a deviation from runs that start at rest.
 
@@ -114,17 +114,18 @@ def estimate(
         The sensor's noise; by default from the residual itself, ``misfit`` is then 1.
     instrument : ndarray (runs, n), optional
         zeta, free of this run's noise; see :func:`instrument`.
-    scale : float
-        A typical deviation, at which the noise's colour is taken.
+    scale : float, optional
+        Deviation at which the noise's colour is taken; by default the runs' median estimate.
     """
     z, x = factors.signals(y, u)
     zeta = x if instrument is None else instrument
     below = np.sum(zeta * x, axis=1)
     delta = np.sum(zeta * z, axis=1) / below
-    noise = expected(factors, scale, y.shape[1])
+    at = float(np.median(delta)) if scale is None else scale
+    noise = expected(factors, at, y.shape[1])
     left = np.sum((z - delta[:, None] * x) ** 2, axis=1)
     level = np.sqrt(left / noise.error) if sigma is None else np.asarray(sigma, dtype=float)
-    seen = factors.error(scale).transposed(zeta)
+    seen = factors.error(at).transposed(zeta)
     variance = level**2 * np.sum(seen**2, axis=1)
     bias = np.zeros(len(y))
     if instrument is None:
@@ -176,3 +177,34 @@ def instrument(
     at = pulled.nominal if theta is None else theta
     y = simulate(pulled, at, u, factors.filter.dt)[:, :, output]
     return factors.signals(y, u)[1]
+
+
+def output_doubt(
+    pulled: Pulled,
+    theta: np.ndarray,
+    y: np.ndarray,
+    u: np.ndarray,
+    sigma: np.ndarray,
+    dt: float,
+) -> np.ndarray:
+    """Return how many standard deviations the power left of the outputs lies above the noise's.
+
+    A sharper test than that on z - delta x, whose noise W and D0 colour: it disowns an estimate where
+    another parameter changed.
+
+    Parameters
+    ----------
+    theta : ndarray (p,)
+        Where the rig is simulated, from rest.
+    y : ndarray (runs, n, ny)
+    u : ndarray (runs, n, nu)
+    sigma : ndarray (runs, ny)
+        The sensors' noise.
+
+    Returns
+    -------
+    ndarray (runs,)
+    """
+    residual = (y - simulate(pulled, theta, u, dt)) / sigma[:, None]
+    count = y.shape[1] * y.shape[2]
+    return np.asarray((np.sum(residual**2, axis=(1, 2)) - count) / np.sqrt(2.0 * count))
