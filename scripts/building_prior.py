@@ -285,9 +285,15 @@ def main(
         "fig_9": rows,
     }
     if out is not None:
-        from physid.report.courses import write_page
+        from physid.report.courses import sweep_figure, write_figures
 
-        write_page(out / "figures.html", "Building of four storeys", rows, {}, ())
+        drawn = {
+            f"Fig. 9: error of k3 over the cutoff, W of order {order}": sweep_figure(
+                [row for row in rows if row["order"] == order]
+            )
+            for order in (3, 4)
+        }
+        write_figures(out / "figures.html", drawn)
     print(json.dumps(result, indent=2) if as_json else table(rows))
 
 

@@ -314,9 +314,14 @@ def main(
         "fig_7": curves,
     }
     if out is not None:
-        from physid.report.courses import write_page
+        from physid.report.courses import course_figure, sweep_figure, write_figures
 
-        write_page(out / "figures.html", "Mass on a spring", rows, curves, NAMES)
+        drawn = {"Fig. 5: error of the damping over the cutoff": sweep_figure(rows)}
+        for key, curve in curves.items():
+            words = f"Fig. 7: {key[0]} steps by 10 % at 20 s{', with noise' * ('noisy' in key)}"
+            time_axis, values = (np.array(curve[k]) for k in ("time", "values"))
+            drawn[words] = course_figure(time_axis, values, ("m", "d", "k"))
+        write_figures(out / "figures.html", drawn)
     print(json.dumps(result, indent=2) if as_json else table(rows))
 
 

@@ -12,7 +12,7 @@ nothing moves: signatures are then the finite step's, not its derivative's.
 The chance that some G exceeds g where nothing changed is bounded by Davies, Biometrika 74 (1987): with
 normalised signatures, P <= 2 Phi(-sqrt(g)) + exp(-g / 2) / pi * (length of the curve they draw).
 Posterior probabilities take each parameter, each instant and each relative size of step as equally
-likely before.
+likely before, and a change as likely as none.
 """
 
 from __future__ import annotations
@@ -75,7 +75,8 @@ class Hypothesis:
     gain : float
         Fall of the weighted squares.
     evidence : float
-        Logarithm of the likelihood, instants and sizes averaged; up to a constant.
+        Logarithm of the likelihood over that of no change, averaged over instants and over relative sizes
+        from -1 to 1.
     instants : ndarray (n,)
         Probability of each sample as the instant, given this parameter.
     """
@@ -106,6 +107,8 @@ class Weighed:
         One per parameter, the likeliest first.
     probabilities : ndarray (p,)
         Of each, in their order, given that one of them holds.
+    nothing : float
+        Probability that none holds, which was one half before.
     p_value : float
         Chance of so large a gain where nothing changed, at most.
     squares : float
@@ -116,6 +119,7 @@ class Weighed:
 
     hypotheses: tuple[Hypothesis, ...]
     probabilities: np.ndarray
+    nothing: float
     p_value: float
     squares: float
     count: int
@@ -154,7 +158,7 @@ def weigh(
     iterations : int
         Times the signatures are taken again at the step found.
     """
-    base = _Base.of(pulled, window, fitted_baseline)
+    base = Base.of(pulled, window, fitted_baseline)
     found = [_converged(base, j, index, iterations) for j in range(len(pulled.names))]
     order = np.argsort([-h.evidence for h, _ in found])
     evidence = np.array([found[j][0].evidence for j in order])
@@ -162,6 +166,7 @@ def weigh(
     return Weighed(
         hypotheses=tuple(found[j][0] for j in order),
         probabilities=weights / weights.sum(),
+        nothing=float(1.0 / (1.0 + np.exp(min(evidence.max(), 700.0)) * weights.mean())),
         p_value=float(min(1.0, sum(p for _, p in found))),
         squares=base.squares,
         count=window.y.size - base.basis.shape[1] - base.shifts.shape[1],
@@ -169,8 +174,11 @@ def weigh(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Base:
-    """The nominal rig over a window: residual, state, and what is projected out."""
+class Base:
+    """The nominal rig over a window: residual, state, and what is projected out.
+
+    Signatures and residuals are weighted by 1 / noise, and stacked sample by sample (n ny).
+    """
 
     pulled: Pulled
     window: Window
@@ -184,7 +192,8 @@ class _Base:
     squares: float
 
     @staticmethod
-    def of(pulled: Pulled, window: Window, fitted: bool) -> _Base:
+    def of(pulled: Pulled, window: Window, fitted: bool) -> Base:
+        """Simulate the nominal rig, and fit its initial state and, if told, constant deviations."""
         u, sigma = window.u, window.sigma
         rig = simulator(pulled, pulled.nominal, window.dt)
         driven = np.hstack([np.ones((len(u), 1)), u])
@@ -198,7 +207,7 @@ class _Base:
             residual = residual - (basis @ start).reshape(residual.shape)
         shifts = np.zeros((residual.size, 0))
         states = rig.states(driven, start)
-        base = _Base(
+        base = Base(
             pulled=pulled,
             window=window,
             filter=rig,
@@ -210,9 +219,10 @@ class _Base:
             shifts=shifts,
             squares=float(np.sum(residual**2)),
         )
-        return base._with_shifts() if fitted else base
+        return base.with_shifts() if fitted else base
 
-    def _with_shifts(self) -> _Base:
+    def with_shifts(self) -> Base:
+        """Fit a constant deviation of every parameter too."""
         weighted = self.filter.c / self.window.sigma[:, None]
         columns = []
         for j in range(len(self.pulled.names)):
@@ -242,7 +252,7 @@ class _Base:
         return states @ a.T + self.driven @ b.T, readings
 
 
-def _converged(base: _Base, j: int, index: int | None, iterations: int) -> tuple[Hypothesis, float]:
+def _converged(base: Base, j: int, index: int | None, iterations: int) -> tuple[Hypothesis, float]:
     """Return the best step of one parameter and the p-value of its first, linear gain."""
     states, delta = base.states, 0.0
     hypothesis, p_value = _profile(base, j, delta, states, index)
@@ -266,7 +276,7 @@ def _converged(base: _Base, j: int, index: int | None, iterations: int) -> tuple
 
 
 def _profile(
-    base: _Base, j: int, delta: float, states: np.ndarray, index: int | None
+    base: Base, j: int, delta: float, states: np.ndarray, index: int | None
 ) -> tuple[Hypothesis, float]:
     """Weigh a step at every sample, its signatures taken at one delta and course of the state."""
     kicks, readings = base.kicks(j, delta, states)
@@ -294,13 +304,16 @@ def _profile(
         delta=float(cross[best] / norm[best]) if allowed[best] else 0.0,
         std_error=float(norm[best] ** -0.5) if allowed[best] else np.inf,
         gain=float(gain[best]),
-        evidence=top + float(np.log(total / max(int(allowed.sum()), 1))),
+        evidence=top
+        + float(
+            np.log(total / max(int(allowed.sum()), 1)) + 0.5 * np.log(2.0 * np.pi) - np.log(2.0)
+        ),
         instants=weights / total,
     )
     return hypothesis, _chance(float(gain[best]), norm, following, allowed)
 
 
-def _projected(base: _Base, found: Products) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _projected(base: Base, found: Products) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return norm, product with the residual and with the next, beside what is projected out."""
     nuisance = np.hstack([base.basis, base.shifts])
     columns = np.hstack(

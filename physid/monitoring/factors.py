@@ -77,6 +77,12 @@ def numerators(pulled: Pulled, parameter: int, output: int) -> Numerators:
             f"{name} enters with rank {len(loops)}, but one output shows only rank one: fit it by output "
             "error (physid fit), which needs no inversion."
         )
+    constant = pulled.plant.balance(pulled.nominal)[:, 0]
+    if np.any(constant) or pulled.right[loops[0], 0] or pulled.sensors[output, 0]:
+        raise ModelError(
+            f"{name} is seen beside a constant load or offset, but these factors need positions counted from "
+            "rest: fit it by output error (physid fit)."
+        )
     k, d, m, g = pulled.balance()
     nv, nu = len(k), g.shape[1]
     speed = _speed(k, m)
