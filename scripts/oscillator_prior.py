@@ -41,6 +41,8 @@ from physid.rigs import rig_path  # noqa: E402
 DT, RATIO, TRUE, BELIEVED = 1e-3, 0.01, 0.2, 0.18
 NAMES = ("block.mass", "slide.damping", "slide.stiffness")
 CUTOFFS = (0.2, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 5.0, 10.0)
+DOUBTED = 5.0
+"""Standard deviations of the residual's power from which an estimate is disowned."""
 ALARM = 0.005
 """p-value below which the monitor gives alarm."""
 
@@ -230,19 +232,19 @@ def fig_7(figures: Figures, trials: int, rng: np.random.Generator) -> dict[str, 
         pulled = rig(NAMES)
         theta = pulled.nominal * (1 + 0.1 * np.eye(3)[j])
         curves[name] = followed(pulled, theta, rng, window=2.0, ratio=0.0, order=2)
-        ends, misfits = [], []
+        ends, doubts = [], []
         for _ in range(trials):
             course = followed(pulled, theta, rng, window=10.0, ratio=RATIO, order=3)
             ends.append(course["values"][-1])
-            misfits.append(course["misfit"][-1])
+            doubts.append(course["doubt"][-1])
         curves[f"{name}_noisy"] = course
-        found, misfit = np.array(ends), np.array(misfits)
+        found, doubt = np.array(ends), np.array(doubts)
         figures.add(f"fig7_{name}_mean_percent", found[:, j].mean(), "in", [9.5, 10.5])
         figures.add(f"fig7_{name}_std_percent", found[:, j].std(), "<=", 0.5)
-        others = np.delete(misfit, j, axis=1).min(axis=1)
-        told = np.mean((misfit[:, j] < 1.2) & (others > 1.2))
+        others = np.delete(doubt, j, axis=1).min(axis=1)
+        told = np.mean((doubt[:, j] < DOUBTED) & (others > DOUBTED))
         figures.add(f"fig7_{name}_others_disowned_by_residual", told, ">=", 0.95)
-        print(f"{name}: own misfit {misfit[:, j].mean():.3f}, others at least {others.min():.3f}",
+        print(f"{name}: own doubt at most {doubt[:, j].max():.3f}, others at least {others.min():.3f}",
               file=sys.stderr)  # fmt: skip
     return curves
 
@@ -251,7 +253,7 @@ def followed(
     pulled: Pulled, theta: np.ndarray, rng: np.random.Generator, *, window: float, ratio: float,
     order: int,
 ) -> dict[str, Any]:  # fmt: skip
-    """Return three sliding estimates every half second in percent, and their misfits."""
+    """Return three sliding estimates every half second in percent, and their doubts."""
     run = stepped_run(pulled, theta, 20000, samples=40000, dt=DT, ratio=ratio, rng=rng)
     sigma = max(float(run.sigma[0, 0]), 1e-9)
     courses = []
@@ -265,7 +267,7 @@ def followed(
         "values": np.column_stack(
             [100 * c.delta[rows] / v for c, v in zip(courses, pulled.nominal, strict=True)]
         ).tolist(),
-        "misfit": np.column_stack([c.misfit[rows] for c in courses]).tolist(),
+        "doubt": np.column_stack([c.doubt[rows] for c in courses]).tolist(),
     }
 
 

@@ -31,6 +31,8 @@ TRIMMED = 1e-13
 """Coefficient, relative to the largest a determinant of such rows can have, that is round-off."""
 ORIGIN = 1e-7
 """Zero, relative to the rig's own speed, that lies at the origin."""
+CONSTANT = 1e-9
+"""Constant force or reading, relative to the largest per unit of motion, that is round-off."""
 SLOW = 10.0
 """A zero that decays more slowly than the record over this has a note."""
 REFERENCES = ("input", "filter", "plant")
@@ -77,8 +79,7 @@ def numerators(pulled: Pulled, parameter: int, output: int) -> Numerators:
             f"{name} enters with rank {len(loops)}, but one output shows only rank one: fit it by output "
             "error (physid fit), which needs no inversion."
         )
-    constant = pulled.plant.balance(pulled.nominal)[:, 0]
-    if np.any(constant) or pulled.right[loops[0], 0] or pulled.sensors[output, 0]:
+    if _off_rest(pulled, int(loops[0]), output):
         raise ModelError(
             f"{name} is seen beside a constant load or offset, but these factors need positions counted from "
             "rest: fit it by output error (physid fit)."
@@ -122,6 +123,13 @@ def numerators(pulled: Pulled, parameter: int, output: int) -> Numerators:
             for c, v in zip(columns, u_direct, strict=True)
         ),
     )
+
+
+def _off_rest(pulled: Pulled, loop: int, output: int) -> bool:
+    """Tell whether something constant acts beside the motion, above round-off."""
+    full = pulled.plant.balance(pulled.nominal)
+    rows = (full, pulled.right[[loop]], pulled.sensors[[output]])
+    return any(np.abs(row[:, 0]).max() > CONSTANT * np.abs(row).max() for row in rows)
 
 
 def _speed(k: np.ndarray, m: np.ndarray) -> float:

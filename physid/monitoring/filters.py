@@ -62,7 +62,7 @@ class Filter:
 
         A filter at rest is a triangular Toeplitz matrix, whose transpose is the filter run backwards.
         """
-        return self.run(signals[:, ::-1, None])[:, ::-1, 0]
+        return np.asarray(self.run(signals[:, ::-1, None])[:, ::-1, 0])
 
     def impulse(self, count: int) -> np.ndarray:
         """Return the responses (count, p, m) to a unit sample of each input."""

@@ -3,10 +3,15 @@
 Filters keep their states and are never reset; the window's sums of products gain the newest sample and
 lose the oldest.  A second set of sums starts afresh each time the window has been filled anew and then
 replaces the first, so that round-off does not pile up over any number of samples.
+
+The standard error needs the noise that reached the window from before it: s^2 |E' zeta|^2 with zeta cut
+off at the window's ends, a pass backwards.  It is made anew five times per window, so that its work per
+sample does not grow with the window either.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import cast, final
@@ -15,7 +20,7 @@ import numba
 import numpy as np
 
 from physid.errors import InputError
-from physid.monitoring.estimate import simulator
+from physid.monitoring.estimate import expected, simulator
 from physid.monitoring.factors import Factors
 from physid.monitoring.filters import Filter, advance
 from physid.monitoring.lft import Pulled
@@ -31,14 +36,18 @@ class Course:
         In the parameter's unit; NaN until something was seen.
     misfit : ndarray (n,)
         rms of z - delta x over what the sensor's noise explains; above 1 where another parameter changed.
-    share : ndarray (n,)
-        rms of z - delta x over that of z.
+    doubt : ndarray (n,)
+        How many standard deviations the power of z - delta x lies above what noise explains.
     """
 
     delta: np.ndarray
     std_error: np.ndarray
     misfit: np.ndarray
-    share: np.ndarray
+    doubt: np.ndarray
+
+
+RENEWED = 5
+"""Times per window that the noise in the estimate is computed anew."""
 
 
 @final
@@ -81,6 +90,10 @@ class WindowSums:
         own = np.ascontiguousarray(values)
         return kernel(own, self._ring, self._sums, self._fresh, self._place)
 
+    def last(self, column: int) -> np.ndarray:
+        """Return the window's samples (width,) of one signal, the oldest first; zeros before the first."""
+        return np.roll(self._ring[:, column], -int(self._place[0]))
+
 
 @final
 class SlidingEstimate:
@@ -115,9 +128,13 @@ class SlidingEstimate:
             )
         error = factors.error(0.0)
         self._width, self._seen, self._sigma = width, 0, sigma
-        self._filter, self._error = RunningFilter(factors.filter), RunningFilter(error)
-        self._power = float(np.sum(error.impulse(width) ** 2))
+        self._filter, self._error = RunningFilter(factors.filter), error
+        # Of E = D0 - delta U, the noise's filter: its power is quadratic in delta.
+        e, x = error.impulse(width).ravel(), factors.regressor().impulse(width).ravel()
+        self._power = np.array([x @ x, -2.0 * (e @ x), e @ e])
+        self._spread = expected(factors, 0.0, width).spread
         self._sums = WindowSums(width, 6)
+        self._stride, self._noise = max(width // RENEWED, 1), np.nan
         self._output = output
         self._rig: RunningFilter | None = None
         if pulled is not None:
@@ -126,24 +143,34 @@ class SlidingEstimate:
 
     def update(self, y: np.ndarray, u: np.ndarray) -> Course:
         """Take the next samples y (n,) and u (n, nu), one or many."""
+        cuts = np.arange(-self._seen % self._stride or self._stride, len(y), self._stride)
+        edges = [0, *cuts.tolist(), len(y)]
+        parts = [self._piece(y[i:j], u[i:j]) for i, j in itertools.pairwise(edges)]
+        names = ("delta", "std_error", "misfit", "doubt")
+        return Course(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in names})
+
+    def _piece(self, y: np.ndarray, u: np.ndarray) -> Course:
         z, x = self._filter(np.hstack([y[:, None], u])).T
         zeta = x
         if self._rig is not None:
             clean = self._rig(np.hstack([np.ones((len(u), 1)), u]))[:, self._output]
             zeta = self._clean(np.hstack([clean[:, None], u]))[:, 1]
-        # Var(sum zeta e) = s^2 |E' zeta|^2, and running E forwards has the same power on the whole.
-        seen = self._error(zeta[:, None])[:, 0]
-        sums = self._sums(np.column_stack([zeta * z, zeta * x, seen**2, z * z, z * x, x * x])).T
+        sums = self._sums(np.column_stack([zeta * z, zeta * x, zeta, z * z, z * x, x * x])).T
         count = np.minimum(self._seen + 1 + np.arange(len(y)), self._width)
         self._seen += len(y)
+        if self._seen % self._stride == 0:
+            # As much again before the window, from where noise is remembered.
+            cut = np.concatenate([np.zeros(self._width), self._sums.last(2)])
+            self._noise = float(np.sum(self._error.transposed(cut[None]) ** 2))
         with np.errstate(invalid="ignore", divide="ignore"):
             delta = sums[0] / sums[1]
+            power = self._sigma**2 * np.polyval(self._power, delta)
             left = np.maximum(sums[3] - 2.0 * delta * sums[4] + delta**2 * sums[5], 0.0)
             return Course(
                 delta=delta,
-                std_error=self._sigma * np.sqrt(np.maximum(sums[2], 0.0)) / np.abs(sums[1]),
-                misfit=np.sqrt(left / (count * self._sigma**2 * self._power)),
-                share=np.sqrt(left / sums[3]),
+                std_error=self._sigma * np.sqrt(self._noise) / np.abs(sums[1]),
+                misfit=np.sqrt(left / (count * power)),
+                doubt=(left / power - count) * (self._power[2] / self._spread),
             )
 
 

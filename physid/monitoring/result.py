@@ -210,9 +210,10 @@ class MonitorResult:
             else f"by {row['change']:+.4g} {row['unit']}"
         )
         if self.verdict == "nothing_changed":
+            chance = "most" if self.p_value > 0.5 else f"up to {100 * self.p_value:.2g} %"
             return (
-                f"None of the watched parameters changed: so large a deviation is seen in "
-                f"{100 * self.p_value:.2g} % of records without a change."
+                "None of the watched parameters changed, as far as the record shows: such a deviation is "
+                f"seen in {chance} of records without a change."
             )
         if self.verdict == "unexplained":
             return (

@@ -186,7 +186,7 @@ def _tracks(
     length = window or 0.2 * experiment.dt * experiment.samples
     for j, name in enumerate(pulled.names):
         try:
-            output, choice = _planned(pulled, j, experiment, sigma, at_rest)
+            output, choice = _planned(pulled, j, experiment, sigma, length if at_rest else 0.0)
         except ModelError as error:
             notes.append(f"{name} is not followed over time: {error}")
             notes += _proposed(pulled, j)
@@ -207,24 +207,24 @@ def _proposed(pulled: Pulled, j: int) -> list[str]:
 
 
 def _planned(
-    pulled: Pulled, j: int, experiment: Experiment, sigma: np.ndarray, at_rest: bool
+    pulled: Pulled, j: int, experiment: Experiment, sigma: np.ndarray, memory: float
 ) -> tuple[int, Choice]:
     """Choose the sensor and F of least predicted error.
 
-    Zeros of the rig are inverted only from rest: a filter that started elsewhere never forgets a slow one.
+    Zeros of the rig are inverted only where they forget within a fraction of `memory` [s]: through slower
+    ones, starts and noise of long ago fill the window.
     """
     u, dt = experiment.inputs[:PLANNED], experiment.dt
-    references = ("input",) if at_rest else ("filter",)
     tried: list[tuple[float, int, Choice]] = []
     sentence = f"no sensor shows {pulled.names[j]}."
     for output in range(len(pulled.outputs)):
         try:
             found = numerators(pulled, j, output)
-            shapes = [
-                s
-                for i in range(len(pulled.inputs) if at_rest else 1)
-                for s in candidates(found, dt, references=references, source=i)
-            ]
+            shapes = candidates(found, dt, references=("filter",))
+            for i, below in enumerate(found.n21):
+                zeros = found.zeros(below[np.flatnonzero(below)[:1].sum() :])
+                if np.all(-zeros.real * memory > SETTLING):
+                    shapes += candidates(found, dt, references=("input",), source=i)
             choice = choose(pulled, found, output, u, float(sigma[output]), dt, shapes)
         except ModelError as error:
             sentence = str(error)
