@@ -107,6 +107,8 @@ class Weighed:
         One per parameter, the likeliest first.
     probabilities : ndarray (p,)
         Of each, in their order, given that one of them holds.
+    baseline : ndarray (p,)
+        Values before the change: nominal, or fitted.
     nothing : float
         Probability that none holds, which was one half before.
     p_value : float
@@ -119,6 +121,7 @@ class Weighed:
 
     hypotheses: tuple[Hypothesis, ...]
     probabilities: np.ndarray
+    baseline: np.ndarray
     nothing: float
     p_value: float
     squares: float
@@ -158,6 +161,8 @@ def weigh(
     iterations : int
         Times the signatures are taken again at the step found.
     """
+    if fitted_baseline:
+        pulled = settled(pulled, window)
     base = Base.of(pulled, window, fitted_baseline)
     found = [_converged(base, j, index, iterations) for j in range(len(pulled.names))]
     order = np.argsort([-h.evidence for h, _ in found])
@@ -166,11 +171,24 @@ def weigh(
     return Weighed(
         hypotheses=tuple(found[j][0] for j in order),
         probabilities=weights / weights.sum(),
+        baseline=pulled.nominal,
         nothing=float(1.0 / (1.0 + np.exp(min(evidence.max(), 700.0)) * weights.mean())),
         p_value=float(min(1.0, sum(p for _, p in found))),
         squares=base.squares,
         count=window.y.size - base.basis.shape[1] - base.shifts.shape[1],
     )
+
+
+def settled(pulled: Pulled, window: Window) -> Pulled:
+    """Return the rig at the constant values that fit a window best, by Gauss and Newton."""
+    for _ in range(ITERATIONS):
+        step = Base.of(pulled, window, True).shift
+        half = 0.5 * np.abs(pulled.nominal)
+        moved = pulled.nominal + np.clip(step, -half, np.where(half > 0, 2.0 * half, np.abs(step)))
+        pulled = replace(pulled, nominal=moved)
+        if np.all(np.abs(step) <= 1e-4 * np.abs(moved)):
+            break
+    return pulled
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -190,6 +208,7 @@ class Base:
     basis: np.ndarray  # initial state's columns, weighted (n ny, k), none at rest
     shifts: np.ndarray  # constant deviations' columns (n ny, p), none with a nominal baseline
     squares: float
+    shift: np.ndarray  # constant deviations that fit best (p,), none with a nominal baseline
 
     @staticmethod
     def of(pulled: Pulled, window: Window, fitted: bool) -> Base:
@@ -218,6 +237,7 @@ class Base:
             basis=basis,
             shifts=shifts,
             squares=float(np.sum(residual**2)),
+            shift=np.zeros(0),
         )
         return base.with_shifts() if fitted else base
 
@@ -230,9 +250,16 @@ class Base:
             columns.append(signature(self.filter.a, weighted, readings, kicks).ravel())
         shifts = np.column_stack(columns)
         both = np.hstack([self.basis, shifts])
-        fit = np.linalg.lstsq(both, self.residual.ravel(), rcond=1e-10)[0]
+        scale = np.maximum(np.linalg.norm(both, axis=0), 1e-300)
+        fit = np.linalg.lstsq(both / scale, self.residual.ravel(), rcond=1e-10)[0] / scale
         residual = self.residual - (both @ fit).reshape(self.residual.shape)
-        return replace(self, residual=residual, shifts=shifts, squares=float(np.sum(residual**2)))
+        return replace(
+            self,
+            residual=residual,
+            shifts=shifts,
+            squares=float(np.sum(residual**2)),
+            shift=fit[self.basis.shape[1] :],
+        )
 
     def moved(self, j: int, delta: float) -> Filter:
         """Return the rig with one parameter moved."""

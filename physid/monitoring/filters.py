@@ -44,7 +44,7 @@ class Filter:
         """Return the states (n, k) at the samples of signals (n, m) from a state (k,)."""
         k = len(self.a)
         whole = Filter(a=self.a, b=self.b, c=np.eye(k), d=np.zeros_like(self.b), dt=self.dt)
-        return whole.run(signals[None], start[None])[0]
+        return np.asarray(whole.run(signals[None], start[None])[0])
 
     def select(self, outputs: np.ndarray, inputs: Sequence[int]) -> Filter:
         """Return the filter from some inputs to combinations of the outputs, (q, p)."""

@@ -136,7 +136,8 @@ def pull_out(
     found = [p if isinstance(p, Parameter) else model.parameter(p) for p in parameters]
     plant = linear_plant(model, found)
     _check_affine(model, found, plant)
-    left, right, owners = [], [], []
+    nv, width = plant.joints, plant.constant.shape[1]
+    left, right, owners = [np.zeros((nv, 0))], [np.zeros((0, width))], []
     for j, share in enumerate(plant.slopes):
         if not np.any(share):
             raise ModelError(
@@ -156,7 +157,7 @@ def pull_out(
         sensors=rows,
         left=np.hstack(left),
         right=np.vstack(right),
-        owners=np.array(owners),
+        owners=np.array(owners, dtype=int),
     )
 
 

@@ -10,8 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import minimize
 
-from physid.monitoring.changes import Base, Window
+from physid.monitoring.changes import Base, Window, settled
 from physid.monitoring.filters import Filter
 from physid.monitoring.lft import Pulled
 from physid.monitoring.signatures import signature
@@ -22,6 +23,8 @@ LENGTHS = (0.05, 0.1, 0.2, 0.4, 0.7, 1.0)
 """Lengths of a ramp that are tried, as shares of the record."""
 LEVELS = 64
 """Values a ramp is quantised to when it is simulated."""
+SEARCHED = 80
+"""Ramps that are tried about the best."""
 REFINED = 3
 """Times delta is found again at the simulated ramp."""
 
@@ -52,7 +55,7 @@ class Pattern:
     probability: float = 1.0
 
 
-def course(count: int, start: int, duration: int) -> np.ndarray:
+def course(count: int, start: float, duration: float) -> np.ndarray:
     """Return a ramp (count,) from 0 at `start` to 1 after `duration` samples; a step for 0."""
     after = np.arange(count) - start
     if duration == 0:
@@ -81,6 +84,8 @@ def compare_patterns(
     tuple of Pattern
         The likelier first.
     """
+    if fitted_baseline:
+        pulled = settled(pulled, window)
     base = Base.of(pulled, window, fitted_baseline)
     basis = np.linalg.qr(np.hstack([base.basis, base.shifts]))[0]
     n = len(window.u)
@@ -93,7 +98,7 @@ def compare_patterns(
             tried.append((_gain(base, basis, kicks, readings, shape)[2], start, int(share * n)))
     _, start, duration = max(tried)
     ramped = _refined(base, basis, parameter, int(start), max(duration, 1))
-    scores = np.array([0.5 * stepped.gain, 0.5 * ramped.gain - 0.5 * np.log(n)])
+    scores = np.array([0.5 * stepped.gain, 0.5 * ramped.gain - 0.5 * np.log(len(window.y))])
     weights = np.exp(scores - scores.max())
     weights /= weights.sum()
     found = [
@@ -126,21 +131,49 @@ def _gain(
     return cross / norm, norm**-0.5, cross**2 / norm
 
 
-def _refined(base: Base, basis: np.ndarray, j: int, start: int, duration: int) -> Pattern:
-    """Find delta at the pattern that is simulated with it."""
-    shape = course(len(base.driven), start, duration)
+def _refined(base: Base, basis: np.ndarray, j: int, start: float, duration: float) -> Pattern:
+    """Find delta, and a ramp's start and length, at the pattern that is simulated with them."""
+    n = len(base.driven)
     kicks, readings = base.kicks(j, 0.0, base.states)
-    delta, error, gain = _gain(base, basis, kicks, readings, shape)
+    delta, error, gain = _gain(base, basis, kicks, readings, course(n, start, duration))
     limit = 0.9 * abs(float(base.pulled.nominal[j])) or abs(delta)
     for _ in range(REFINED):
         delta = float(np.clip(delta, -limit, 10.0 * limit)) or 1e-9 * limit
-        states = _states(base, j, delta, shape)
+        states = _states(base, j, delta, course(n, start, duration))
         kicks, readings = base.kicks(j, delta, states)
-        delta, error, gain = _gain(base, basis, kicks, readings, shape)
-    kind = "ramp" if duration else "step"
+        if duration:
+            start, duration = _moved(base, basis, kicks, readings, start, duration)
+        delta, error, gain = _gain(base, basis, kicks, readings, course(n, start, duration))
     return Pattern(
-        kind=kind, start=start, duration=duration, delta=delta, std_error=error, gain=gain
+        kind="ramp" if duration else "step",
+        start=min(max(round(start), 0), n - 1),
+        duration=round(duration),
+        delta=delta,
+        std_error=error,
+        gain=gain,
     )
+
+
+def _moved(
+    base: Base,
+    basis: np.ndarray,
+    kicks: np.ndarray,
+    readings: np.ndarray,
+    start: float,
+    duration: float,
+) -> tuple[float, float]:
+    """Search about a ramp for a better one (Nelder, Mead)."""
+    n = len(base.driven)
+
+    def cost(x: np.ndarray) -> float:
+        if not (0.0 <= x[0] < n and 1.0 <= x[1] <= n):
+            return 0.0
+        return -_gain(base, basis, kicks, readings, course(n, x[0], x[1]))[2]
+
+    simplex = np.array([[start, duration], [start + 0.02 * n, duration], [start, 0.8 * duration]])
+    options = {"initial_simplex": simplex, "maxfev": SEARCHED, "xatol": 0.5, "fatol": 0.01}
+    found = minimize(cost, simplex[0], method="Nelder-Mead", options=options)
+    return float(found.x[0]), float(found.x[1])
 
 
 def _states(base: Base, j: int, delta: float, shape: np.ndarray) -> np.ndarray:

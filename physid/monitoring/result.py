@@ -141,14 +141,15 @@ class MonitorResult:
         parameter = self.parameters[hypothesis.parameter]
         low, high = hypothesis.interval()
         error = hypothesis.std_error
+        before = float(self.weighed.baseline[hypothesis.parameter])
         return {
             "parameter": parameter.name,
             "probability": float(self.weighed.probabilities[k]) * (1.0 - self.weighed.nothing),
-            "before": parameter.value,
-            "after": parameter.value + hypothesis.delta,
+            "before": before,
+            "after": before + hypothesis.delta,
             "change": hypothesis.delta,
             "change_std_error": error if np.isfinite(error) else None,
-            "relative_change": hypothesis.delta / parameter.value if parameter.value else None,
+            "relative_change": hypothesis.delta / before if before else None,
             "unit": parameter.unit,
             "instant": float(self.time[hypothesis.index]),
             "instant_interval": [float(self.time[low]), float(self.time[high])],
@@ -186,7 +187,7 @@ class MonitorResult:
             return []
         best = self.weighed.best
         element, _, attribute = self._name(best).rpartition(".")
-        value = self.parameters[best.parameter].value
+        value = float(self.weighed.baseline[best.parameter])
         if attribute != "stiffness" or not value:
             return []
         return [
