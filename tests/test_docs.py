@@ -19,6 +19,7 @@ DOCUMENTS = [
     ROOT / "docs" / "effects.md",
     ROOT / "docs" / "environments.md",
     ROOT / "docs" / "tuning.md",
+    ROOT / "docs" / "monitoring.md",
 ]
 
 

@@ -25,7 +25,7 @@ from scipy.stats import norm as gaussian
 from physid.monitoring.estimate import simulator
 from physid.monitoring.filters import Filter
 from physid.monitoring.lft import Pulled
-from physid.monitoring.signatures import Products, products, signature
+from physid.monitoring.signatures import Products, products, products_at, signature
 
 ITERATIONS = 6
 """Times the state after the step is simulated again."""
@@ -312,7 +312,8 @@ def _profile(
     signals = np.concatenate(
         [base.residual[:, None], base.shifts.reshape(n, ny, -1).transpose(0, 2, 1)], axis=1
     )
-    found = products(base.filter.a, weighted, readings, kicks, signals)
+    rig = (base.filter.a, weighted, readings, kicks, signals)
+    found = products(*rig) if index is None else products_at(index, *rig, base.basis)
     norm, cross, following = _projected(base, found)
     allowed = _allowed(norm, found.norm, index)
     gain = np.where(allowed, cross**2 / np.where(allowed, norm, 1.0), 0.0)

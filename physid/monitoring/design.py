@@ -74,14 +74,24 @@ def predict(
     sigma : ndarray (runs,)
         The sensor's noise.
     """
+    plain, helped = _foreseen(pulled, made, output, u, sigma)
+    return helped if with_instrument else plain
+
+
+Pair = tuple[np.ndarray, np.ndarray]
+
+
+def _foreseen(
+    pulled: Pulled, made: Factors, output: int, u: np.ndarray, sigma: np.ndarray
+) -> tuple[Pair, Pair]:
+    """Return bias and standard deviation without and with an instrument."""
     x = instrument(pulled, made, output, u)
     power, seen = np.sum(x**2, axis=1), np.sum(made.error(0.0).transposed(x) ** 2, axis=1)
-    if with_instrument:
-        return np.zeros(len(u)), sigma * np.sqrt(seen) / power
     noise = expected(made, 0.0, u.shape[1])
     below = power + sigma**2 * noise.regressor
     bias = sigma**2 * noise.coupling / below
-    return bias, np.sqrt(sigma**2 * seen + sigma**4 * noise.product) / below
+    std = np.sqrt(sigma**2 * seen + sigma**4 * noise.product) / below
+    return (bias, std), (np.zeros(len(u)), sigma * np.sqrt(seen) / power)
 
 
 def candidates(
@@ -150,14 +160,12 @@ def choose(
         except ModelError as error:
             refused.append(str(error))
             continue
-        for helped in (True, False):
-            bias, std = predict(
-                pulled, made, output, u[None], np.array([sigma]), with_instrument=helped
-            )
+        plain, helped = _foreseen(pulled, made, output, u[None], np.array([sigma]))
+        for with_instrument, (bias, std) in ((True, helped), (False, plain)):
             tried.append(
                 Choice(
                     factors=made,
-                    instrument=helped,
+                    instrument=with_instrument,
                     bias=float(bias[0]),
                     std=float(std[0]),
                     notes=made.notes,

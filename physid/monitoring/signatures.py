@@ -69,6 +69,38 @@ def products(
     return Products(cross=found[0], norm=found[1], start=found[2], following=found[3])
 
 
+def products_at(
+    index: int,
+    a: np.ndarray,
+    c: np.ndarray,
+    readings: np.ndarray,
+    kicks: np.ndarray,
+    signals: np.ndarray,
+    basis: np.ndarray,
+) -> Products:
+    """Return the inner products of one sample's signature, every other row zero: :func:`products`.
+
+    Parameters
+    ----------
+    index : int
+    basis : ndarray (n ny, k)
+        Columns of the initial state, weighted; none (n ny, 0) for a start at rest.
+    """
+    n, k = kicks.shape
+    s = signature(a, c, readings, kicks, index)
+    found = Products(
+        cross=np.zeros((n, signals.shape[1])),
+        norm=np.zeros(n),
+        start=np.zeros((n, k)),
+        following=np.zeros(n),
+    )
+    found.cross[index] = np.einsum("ty,tmy->m", s, signals)
+    found.norm[index] = float(np.sum(s**2))
+    if basis.shape[1]:
+        found.start[index] = s.ravel() @ basis
+    return found
+
+
 def signature(
     a: np.ndarray, c: np.ndarray, readings: np.ndarray, kicks: np.ndarray, first: int = 0
 ) -> np.ndarray:

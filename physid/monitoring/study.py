@@ -85,6 +85,10 @@ def monitor(
     names = [loaded.structure.channels[k].name for k in experiment.channels]
     pulled = pull_out(loaded, watch, names)
     sigma = noise_level([experiment])
+    if window is not None and not window > 2.0 * experiment.dt:
+        raise InputError(
+            f"The window of {window:g} s must be longer than two samples of {experiment.dt:g} s."
+        )
     index = _index(experiment, instant)
     told("Weighing every instant", 0.1)
     options: dict[str, Any] = {"fitted_baseline": fitted_baseline}
