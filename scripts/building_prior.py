@@ -30,7 +30,8 @@ import typer  # noqa: E402
 
 from physid.effects.catalogue import load_model  # noqa: E402
 from physid.identification.whitening import Noise, cramer_rao, minimise  # noqa: E402
-from physid.monitoring.changes import Window, weigh  # noqa: E402
+from physid.monitoring.baseline import Window  # noqa: E402
+from physid.monitoring.changes import weigh  # noqa: E402
 from physid.monitoring.design import choose  # noqa: E402
 from physid.monitoring.estimate import estimate, instrument, output_doubt, simulate  # noqa: E402
 from physid.monitoring.factors import Shape, factors, numerators  # noqa: E402
@@ -211,7 +212,7 @@ def which(figures: Figures, trials: int, rng: np.random.Generator) -> None:
     false = []
     for _ in range(trials):
         run = stepped_run(pulled, pulled.nominal, 0, samples=SAMPLES, dt=DT, ratio=RATIO, rng=rng)
-        false.append(weigh(pulled, whole(run), iterations=0).p_value < ALARM)
+        false.append(weigh(pulled, whole(run)).p_value < ALARM)
     figures.add("building_false_alarms_per_window", np.mean(false), "<=", 0.01)
 
 

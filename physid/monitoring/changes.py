@@ -10,7 +10,9 @@ state after the step is simulated at the best instant and delta and the signatur
 nothing moves: signatures are then the finite step's, not its derivative's.
 
 The chance that some G exceeds g where nothing changed is bounded by Davies, Biometrika 74 (1987): with
-normalised signatures, P <= 2 Phi(-sqrt(g)) + exp(-g / 2) / pi * (length of the curve they draw).
+normalised signatures, P <= 2 Phi(-sqrt(g)) + exp(-g / 2) / pi * (length of the curve they draw).  It is
+taken of the derivative's gain, and of the finite step's times a thousand for the sizes there are; twice
+the smaller counts.
 Posterior probabilities take each parameter, each instant and each relative size of step as equally
 likely before, and a change as likely as none.
 """
@@ -22,43 +24,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import norm as gaussian
 
-from physid.monitoring.estimate import simulator
-from physid.monitoring.filters import Filter
+from physid.monitoring.baseline import Base, Window, settled
 from physid.monitoring.lft import Pulled
-from physid.monitoring.signatures import Products, products, products_at, signature
+from physid.monitoring.signatures import Products, products, products_at
 
 ITERATIONS = 6
 """Times the state after the step is simulated again."""
-DIFFERENCE = 1e-4
-"""Step of the derivative at no change, relative to the parameter."""
+SIZES = 1000
+"""Sizes of a step that count as distinct in the chance of the gain at the step found."""
+WORTHWHILE = (0.05, 2.0)
+"""Chance, or standard deviations of the squares, from which the finite step is sought."""
+LEFT = 8.0
+"""Standard deviations of the squares that are left, from which shorter stretches are tried first."""
 BLIND = 1e-6
 """Share of a signature's power that must be left beside the initial state and the baseline."""
 EDGE = 0.02
 """Share of the record at both ends in which no unknown instant is looked for."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Window:
-    """A stretch of a record, and what is taken as known in it.
-
-    Parameters
-    ----------
-    u : ndarray (n, nu)
-        Held.
-    y : ndarray (n, ny)
-    sigma : ndarray (ny,)
-        The sensors' noise.
-    dt : float
-        [s]
-    at_rest : bool
-        Whether it starts from rest; otherwise the initial state is free.
-    """
-
-    u: np.ndarray
-    y: np.ndarray
-    sigma: np.ndarray
-    dt: float
-    at_rest: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -164,128 +145,70 @@ def weigh(
     if fitted_baseline:
         pulled = settled(pulled, window)
     base = Base.of(pulled, window, fitted_baseline)
-    found = [_converged(base, j, index, iterations) for j in range(len(pulled.names))]
-    order = np.argsort([-h.evidence for h, _ in found])
-    evidence = np.array([found[j][0].evidence for j in order])
+    count = window.y.size - base.basis.shape[1] - base.shifts.shape[1]
+    first = [_profile(base, j, 0.0, base.states, index) for j in range(len(pulled.names))]
+    found, p_value = [h for h, _ in first], 2.0 * _chance(first)
+    doubt = (base.squares - count) / np.sqrt(2.0 * count)
+    if index is not None or p_value < WORTHWHILE[0] or doubt > WORTHWHILE[1]:
+        found, chance = _refined(base, found, index, iterations)
+        left = (base.squares - max(h.gain for h in found) - count) / np.sqrt(2.0 * count)
+        if index is None and left > LEFT:
+            found, chance = _grown(base, fitted_baseline, found, iterations)
+        p_value = min(p_value, 2.0 * SIZES * chance)
+    order = np.argsort([-h.evidence for h in found])
+    evidence = np.array([found[j].evidence for j in order])
     weights = np.exp(evidence - evidence.max())
     return Weighed(
-        hypotheses=tuple(found[j][0] for j in order),
+        hypotheses=tuple(found[j] for j in order),
         probabilities=weights / weights.sum(),
         baseline=pulled.nominal,
         nothing=float(1.0 / (1.0 + np.exp(min(evidence.max(), 700.0)) * weights.mean())),
-        p_value=float(min(1.0, sum(p for _, p in found))),
+        p_value=float(min(1.0, p_value)),
         squares=base.squares,
-        count=window.y.size - base.basis.shape[1] - base.shifts.shape[1],
+        count=count,
     )
 
 
-def settled(pulled: Pulled, window: Window) -> Pulled:
-    """Return the rig at the constant values that fit a window best, by Gauss and Newton."""
-    for _ in range(ITERATIONS):
-        step = Base.of(pulled, window, True).shift
-        half = 0.5 * np.abs(pulled.nominal)
-        moved = pulled.nominal + np.clip(step, -half, np.where(half > 0, 2.0 * half, np.abs(step)))
-        pulled = replace(pulled, nominal=moved)
-        if np.all(np.abs(step) <= 1e-4 * np.abs(moved)):
-            break
-    return pulled
+def _refined(
+    base: Base, starts: list[Hypothesis], index: int | None, iterations: int
+) -> tuple[list[Hypothesis], float]:
+    """Return every parameter's best finite step, and the chance of such gains."""
+    both = [_converged(base, h, index, iterations) for h in starts]
+    return [h for h, _ in both], _chance(both)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Base:
-    """The nominal rig over a window: residual, state, and what is projected out.
+def _grown(
+    base: Base, fitted: bool, starts: list[Hypothesis], iterations: int
+) -> tuple[list[Hypothesis], float]:
+    """Seek the steps on a stretch that ends soon after the squares rise, and on longer ones from there.
 
-    Signatures and residuals are weighted by 1 / noise, and stacked sample by sample (n ny).
+    Where a large step has turned a lightly damped motion far out of phase, its first signature, the
+    derivative at no change, says little of the whole record; of the first periods it says enough.
     """
-
-    pulled: Pulled
-    window: Window
-    filter: Filter
-    driven: np.ndarray  # (n, 1 + nu)
-    start: np.ndarray  # initial state (k,)
-    states: np.ndarray  # nominal (n, k)
-    residual: np.ndarray  # weighted (n, ny)
-    basis: np.ndarray  # initial state's columns, weighted (n ny, k), none at rest
-    shifts: np.ndarray  # constant deviations' columns (n ny, p), none with a nominal baseline
-    squares: float
-    shift: np.ndarray  # constant deviations that fit best (p,), none with a nominal baseline
-
-    @staticmethod
-    def of(pulled: Pulled, window: Window, fitted: bool) -> Base:
-        """Simulate the nominal rig, and fit its initial state and, if told, constant deviations."""
-        u, sigma = window.u, window.sigma
-        rig = simulator(pulled, pulled.nominal, window.dt)
-        driven = np.hstack([np.ones((len(u), 1)), u])
-        free = rig.free_responses(len(u)) / sigma[None, :, None]
-        k = len(rig.a)
-        residual = (window.y - rig.run(driven[None])[0]) / sigma
-        start = np.zeros(k)
-        basis = np.zeros((residual.size, 0)) if window.at_rest else free.reshape(-1, k)
-        if not window.at_rest:
-            start = np.linalg.lstsq(basis, residual.ravel(), rcond=1e-10)[0]
-            residual = residual - (basis @ start).reshape(residual.shape)
-        shifts = np.zeros((residual.size, 0))
-        states = rig.states(driven, start)
-        base = Base(
-            pulled=pulled,
-            window=window,
-            filter=rig,
-            driven=driven,
-            start=start,
-            states=states,
-            residual=residual,
-            basis=basis,
-            shifts=shifts,
-            squares=float(np.sum(residual**2)),
-            shift=np.zeros(0),
-        )
-        return base.with_shifts() if fitted else base
-
-    def with_shifts(self) -> Base:
-        """Fit a constant deviation of every parameter too."""
-        weighted = self.filter.c / self.window.sigma[:, None]
-        columns = []
-        for j in range(len(self.pulled.names)):
-            kicks, readings = self.kicks(j, 0.0, self.states)
-            columns.append(signature(self.filter.a, weighted, readings, kicks).ravel())
-        shifts = np.column_stack(columns)
-        both = np.hstack([self.basis, shifts])
-        scale = np.maximum(np.linalg.norm(both, axis=0), 1e-300)
-        fit = np.linalg.lstsq(both / scale, self.residual.ravel(), rcond=1e-10)[0] / scale
-        residual = self.residual - (both @ fit).reshape(self.residual.shape)
-        return replace(
-            self,
-            residual=residual,
-            shifts=shifts,
-            squares=float(np.sum(residual**2)),
-            shift=fit[self.basis.shape[1] :],
-        )
-
-    def moved(self, j: int, delta: float) -> Filter:
-        """Return the rig with one parameter moved."""
-        theta = self.pulled.nominal + delta * np.eye(len(self.pulled.nominal))[j]
-        return simulator(self.pulled, theta, self.window.dt)
-
-    def kicks(self, j: int, delta: float, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return kicks (n, k) and readings (n, ny), per unit of delta, weighted."""
-        size = delta or DIFFERENCE * (abs(float(self.pulled.nominal[j])) or 1.0)
-        up = self.moved(j, size)
-        down = self.filter if delta else self.moved(j, -size)
-        width = size if delta else 2.0 * size
-        a, b, c, d = (
-            (getattr(up, name) - getattr(down, name)) / width for name in ("a", "b", "c", "d")
-        )
-        readings = (states @ c.T + self.driven @ d.T) / self.window.sigma
-        return states @ a.T + self.driven @ b.T, readings
+    n, ny = base.residual.shape
+    risen = np.cumsum(np.sum(base.residual**2, axis=1) - ny)
+    beyond = np.flatnonzero(risen > LEFT * np.sqrt(2.0 * ny * np.arange(1, n + 1)))
+    horizon = int(1.2 * beyond[0]) if len(beyond) else n
+    fresh = True
+    while 10 * len(base.start) < horizon < n:
+        window = base.window
+        cut = replace(window, u=window.u[:horizon], y=window.y[:horizon])
+        part = Base.of(base.pulled, cut, fitted)
+        if fresh:
+            names = range(len(base.pulled.names))
+            starts, fresh = [_profile(part, j, 0.0, part.states, None)[0] for j in names], False
+        starts, _ = _refined(part, starts, None, iterations)
+        best = max(starts, key=lambda h: h.gain)
+        horizon = max(best.index + 2 * (horizon - best.index), horizon + n // 20)
+    return _refined(base, starts, None, iterations)
 
 
-def _converged(base: Base, j: int, index: int | None, iterations: int) -> tuple[Hypothesis, float]:
-    """Return the best step of one parameter and the p-value of its first, linear gain."""
-    states, delta = base.states, 0.0
-    hypothesis, p_value = _profile(base, j, delta, states, index)
-    if index is not None:
-        p_value = float(2.0 * gaussian.sf(np.sqrt(hypothesis.gain)))
-    for _ in range(iterations):
+def _converged(
+    base: Base, start: Hypothesis, index: int | None, iterations: int
+) -> tuple[Hypothesis, float]:
+    """Return the best finite step of one parameter, found from another, and its signatures' length."""
+    hypothesis, j, length = start, start.parameter, np.inf
+    for _ in range(max(iterations, 1)):
         before, delta = hypothesis, hypothesis.delta
         limit = 0.9 * abs(float(base.pulled.nominal[j])) or abs(delta)
         delta = float(np.clip(delta, -limit, 10.0 * limit))
@@ -293,19 +216,25 @@ def _converged(base: Base, j: int, index: int | None, iterations: int) -> tuple[
         states[before.index :] = base.moved(j, delta).states(
             base.driven[before.index :], base.states[before.index]
         )
-        hypothesis, _ = _profile(base, j, delta, states, index)
+        hypothesis, length = _profile(base, j, delta, states, index)
         if (
             hypothesis.index == before.index
             and abs(hypothesis.delta - before.delta) < 0.02 * hypothesis.std_error
         ):
             break
-    return hypothesis, p_value
+    return hypothesis, length
 
 
 def _profile(
     base: Base, j: int, delta: float, states: np.ndarray, index: int | None
 ) -> tuple[Hypothesis, float]:
-    """Weigh a step at every sample, its signatures taken at one delta and course of the state."""
+    """Weigh a step at every sample, its signatures taken at one delta and course of the state.
+
+    Returns
+    -------
+    (Hypothesis, float)
+        The best, and the length of the curve that the normalised signatures draw.
+    """
     kicks, readings = base.kicks(j, delta, states)
     weighted = base.filter.c / base.window.sigma[:, None]
     n, ny = base.residual.shape
@@ -338,7 +267,7 @@ def _profile(
         ),
         instants=weights / total,
     )
-    return hypothesis, _chance(float(gain[best]), norm, following, allowed)
+    return hypothesis, _length(norm, following, allowed)
 
 
 def _projected(base: Base, found: Products) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -372,11 +301,16 @@ def _allowed(norm: np.ndarray, whole: np.ndarray, index: int | None) -> np.ndarr
     return np.asarray(allowed & inside)
 
 
-def _chance(gain: float, norm: np.ndarray, following: np.ndarray, allowed: np.ndarray) -> float:
-    """Bound the chance of a gain where nothing changed (Davies)."""
+def _length(norm: np.ndarray, following: np.ndarray, allowed: np.ndarray) -> float:
+    """Return the length of the curve of normalised signatures [rad]."""
     both = allowed[:-1] & allowed[1:]
     size = np.sqrt(np.where(both, norm[:-1] * norm[1:], 1.0))
     cosine = np.clip(np.where(both, following[:-1] / size, 1.0), -1.0, 1.0)
-    length = float(np.arccos(cosine).sum())
-    root = np.sqrt(gain)
-    return float(min(1.0, 2.0 * gaussian.sf(root) + np.exp(-0.5 * gain) / np.pi * length))
+    return float(np.arccos(cosine).sum())
+
+
+def _chance(found: list[tuple[Hypothesis, float]]) -> float:
+    """Bound the chance that any parameter gains as much as the best where nothing changed (Davies)."""
+    gain = max(h.gain for h, _ in found)
+    tail = 2.0 * gaussian.sf(np.sqrt(gain))
+    return float(sum(tail + np.exp(-0.5 * gain) / np.pi * length for _, length in found))

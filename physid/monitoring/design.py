@@ -29,6 +29,8 @@ CUTOFFS = 13
 """Cutoffs that are tried, from a third of the slowest to thrice the fastest natural frequency."""
 ORDERS = 3
 """Orders of W that are tried, from the least."""
+UNSTABLE = 1e-6
+"""Real part of a pole, relative to the rig's own speed, from which it is unstable; free turning is not."""
 USELESS = 0.5
 """Predicted error, relative to the parameter, from which the record does not show it."""
 
@@ -150,8 +152,15 @@ def choose(
     Raises
     ------
     ModelError
-        If no shape is stable and proper; the sentence proposes another sensor or input.
+        If no shape is stable and proper (the sentence proposes another sensor or input), or the nominal
+        rig is unstable.
     """
+    poles = found.zeros(found.d)
+    if np.any(poles.real > UNSTABLE * found.speed):
+        raise ModelError(
+            f"The nominal rig is unstable (a pole at {poles[np.argmax(poles.real)]:.4g} rad/s), so what its "
+            "estimate reaches cannot be foreseen: start from values at which it is stable."
+        )
     tried: list[Choice] = []
     refused: list[str] = []
     for shape in shapes if shapes is not None else candidates(found, dt):

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from physid.monitoring.changes import Base, Window, settled
+from physid.monitoring.baseline import Base, Window, settled
 from physid.monitoring.filters import Filter
 from physid.monitoring.lft import Pulled
 from physid.monitoring.signatures import signature
@@ -60,7 +60,7 @@ def course(count: int, start: float, duration: float) -> np.ndarray:
     after = np.arange(count) - start
     if duration == 0:
         return np.asarray((after >= 0).astype(float))
-    return np.clip(after / duration, 0.0, 1.0)
+    return np.asarray(np.clip(after / duration, 0.0, 1.0))
 
 
 def compare_patterns(

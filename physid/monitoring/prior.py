@@ -1,4 +1,4 @@
-"""One parameter of one record: F and the instrument chosen, the estimate repeated about itself.
+"""Parameters of one record: F and the instrument chosen, the estimate repeated about itself.
 
 Factors and instrument are those of a nominal model.  Where it stands off by more than the width of a
 resonance, they see the wrong frequencies: they are taken again at the estimate until it stays.  With F
@@ -14,6 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from physid.errors import ConvergenceError, ModelError
+from physid.identification.whitening import covariance_of
+from physid.monitoring.baseline import Base, Window, settled
 from physid.monitoring.design import Choice, choose, warnings
 from physid.monitoring.estimate import estimate, instrument
 from physid.monitoring.factors import Shape, factors, numerators
@@ -118,6 +120,59 @@ def identify(
         repeats=repeats,
         misfit=float(one.misfit[0]),
         notes=warnings(choice, value),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Together:
+    """Several parameters of one record.
+
+    Parameters
+    ----------
+    names : tuple of str
+    values, std_errors : ndarray (p,)
+    covariance : ndarray (p, p)
+    doubt : float
+        How many standard deviations the squares lie above what noise explains.
+    """
+
+    names: tuple[str, ...]
+    values: np.ndarray
+    std_errors: np.ndarray
+    covariance: np.ndarray
+    doubt: float
+
+
+def identify_together(pulled: Pulled, window: Window) -> Together:
+    """Identify all parameters that were pulled out, of any rank, from all outputs, by output error.
+
+    Where several deviations stand between one input and one output, z and x of each cannot be told apart
+    by inversion.  Gauss and Newton's steps on the exact simulation need none; start them from values that
+    are right to the width of a resonance, such as :func:`identify`'s.
+
+    Raises
+    ------
+    ConvergenceError
+        If the squares are not finite there.
+    """
+    at = settled(pulled, window)
+    base = Base.of(at, window, True)
+    columns = base.shifts
+    if base.basis.shape[1]:
+        q = np.linalg.qr(base.basis)[0]
+        columns = columns - q @ (q.T @ columns)
+    covariance = covariance_of(columns)
+    count = window.y.size - columns.shape[1] - base.basis.shape[1]
+    if not np.isfinite(base.squares):
+        raise ConvergenceError(
+            "The simulation is not finite at the estimate: start from nearer nominal values."
+        )
+    return Together(
+        names=at.names,
+        values=at.nominal,
+        std_errors=np.sqrt(np.diag(covariance)),
+        covariance=covariance,
+        doubt=float((base.squares - count) / np.sqrt(2.0 * count)),
     )
 
 

@@ -13,6 +13,9 @@ from physid.plant.parameter import Parameter
 
 DOUBTED = 6.0
 """Standard deviations of the squares from which no watched parameter explains the record."""
+UNSURE = 2.15
+"""How much wider the squares spread since their noise is known from differences of order 8 only:
+sqrt(1 + C(32, 16) / C(16, 8)^2)."""
 SHOWN = 1000
 """Points of a curve."""
 
@@ -82,7 +85,7 @@ class MonitorResult:
     def verdict(self) -> str:
         """``changed``, ``nothing_changed`` or ``unexplained``."""
         changed = self.p_value < self.settings["alarm"]
-        if self.weighed.doubt(changed) > DOUBTED:
+        if self.weighed.doubt(changed) > DOUBTED * UNSURE:
             return "unexplained"
         return "changed" if changed else "nothing_changed"
 

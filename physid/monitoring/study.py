@@ -12,7 +12,8 @@ from physid.effects.catalogue import load_model
 from physid.errors import InputError, ModelError
 from physid.identification.experiment import Experiment, as_experiment
 from physid.identification.noise import noise_level
-from physid.monitoring.changes import Weighed, Window, weigh
+from physid.monitoring.baseline import Window
+from physid.monitoring.changes import Weighed, weigh
 from physid.monitoring.design import Choice, candidates, choose, proposals, warnings
 from physid.monitoring.factors import Numerators, numerators
 from physid.monitoring.lft import Pulled, pull_out
