@@ -75,7 +75,8 @@ class Hypothesis:
         below = np.cumsum(self.instants)
         tail = 0.5 * (1.0 - confidence)
         ends = np.searchsorted(below, [tail, 1.0 - tail])
-        return int(ends[0]), int(min(ends[1], len(below) - 1))
+        first, last = np.minimum(ends, len(below) - 1)
+        return int(first), int(last)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

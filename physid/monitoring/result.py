@@ -143,7 +143,6 @@ class MonitorResult:
         hypothesis = self.weighed.hypotheses[k]
         parameter = self.parameters[hypothesis.parameter]
         low, high = hypothesis.interval()
-        error = hypothesis.std_error
         before = float(self.weighed.baseline[hypothesis.parameter])
         return {
             "parameter": parameter.name,
@@ -151,7 +150,7 @@ class MonitorResult:
             "before": before,
             "after": before + hypothesis.delta,
             "change": hypothesis.delta,
-            "change_std_error": error if np.isfinite(error) else None,
+            "change_std_error": _finite(hypothesis.std_error),
             "relative_change": hypothesis.delta / before if before else None,
             "unit": parameter.unit,
             "instant": float(self.time[hypothesis.index]),
@@ -167,7 +166,7 @@ class MonitorResult:
             "start": float(self.time[pattern.start]),
             "duration": pattern.duration * dt,
             "change": pattern.delta,
-            "change_std_error": pattern.std_error if np.isfinite(pattern.std_error) else None,
+            "change_std_error": _finite(pattern.std_error),
             "gain": pattern.gain,
         }
 
@@ -175,11 +174,11 @@ class MonitorResult:
         parameter = next(p for p in self.parameters if p.name == track.name)
         return {
             "name": track.name,
-            "value": float(track.value[-1]),
-            "std_error": float(track.std_error[-1]),
+            "value": _finite(track.value[-1]),
+            "std_error": _finite(track.std_error[-1]),
             "unit": parameter.unit,
             "initial": parameter.value,
-            "misfit": float(track.misfit[-1]),
+            "misfit": _finite(track.misfit[-1]),
             "output": track.output,
             "filter": track.filter,
         }
@@ -230,3 +229,8 @@ class MonitorResult:
             f"95 %), from {row['before']:.5g} to {row['after']:.5g} {row['unit']}; probability "
             f"{row['probability']:.3g} among the watched."
         )
+
+
+def _finite(value: float) -> float | None:
+    """Return a number that JSON can hold: none for what a record shows nothing of."""
+    return float(value) if np.isfinite(value) else None
