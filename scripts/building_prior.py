@@ -301,7 +301,7 @@ def main(
     rngs = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4)]
     begin, figures = time.perf_counter(), Figures()
     rows = fig_9(figures, 20 if small else 200, rngs[0])
-    which(figures, 12 if small else 400, rngs[1])
+    which(figures, 48 if small else 400, rngs[1])
     lone(figures, 4 if small else 40, rngs[2])
     other_rigs(figures, 4 if small else 40, rngs[3])
     result = {
