@@ -18,6 +18,7 @@ _HOMES = {
     "fit": "physid.criticism.comparison",
     "load_model": "physid.effects.catalogue",
     "load_record": "physid.record",
+    "monitor": "physid.monitoring.study",
     "refine": "physid.criticism.refinement",
     "simulate": "physid.criticism.simulating",
     "tune": "physid.tuning.study",
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from physid.criticism.refinement import refine as refine
     from physid.criticism.simulating import simulate as simulate
     from physid.effects.catalogue import load_model as load_model
+    from physid.monitoring.study import monitor as monitor
     from physid.record import load_record as load_record
     from physid.record import write_record as write_record
     from physid.tuning.study import tune as tune

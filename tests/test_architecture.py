@@ -14,6 +14,7 @@ ORDER = [
     "plant",
     "effects",
     "identification",
+    "monitoring",
     "criticism",
     "tuning",
     "report",
@@ -22,7 +23,7 @@ ORDER = [
 ]
 """A package may import those before it; the public `physid` itself stands below `cli` alone."""
 BESIDE = {
-    "report": {"record", "plant", "effects", "identification", "criticism", "tuning"},
+    "report": {"record", "plant", "effects", "identification", "monitoring", "criticism", "tuning"},
     "tuning": {"criticism"},
 }
 """A page is made from results and curves alone; tuning stands beside criticism."""

@@ -20,6 +20,7 @@ DOCUMENTS = [
     ROOT / "docs" / "environments.md",
     ROOT / "docs" / "lmi.md",
     ROOT / "docs" / "tuning.md",
+    ROOT / "docs" / "monitoring.md",
 ]
 
 

@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 from typer.main import get_command
 
-from physid.cli import catalogue, criticism, estimation, pages, simulation, tuning
+from physid.cli import catalogue, criticism, estimation, monitoring, pages, simulation, tuning
 from physid.cli.ending import INTERRUPTED, OK, complain, explain, interruptible
 
 HELP = (
@@ -50,7 +50,7 @@ def make_app() -> typer.Typer:
         ] = False,
     ) -> None: ...
 
-    for group in (simulation, estimation, criticism, tuning, catalogue, pages):
+    for group in (simulation, estimation, criticism, tuning, monitoring, catalogue, pages):
         for name, command in group.COMMANDS.items():
             app.command(name)(command)
     return app

@@ -95,6 +95,18 @@ def steps_table(result: Result) -> RichTable:
     return draw(tables.steps(result.get("steps")), "Steps")
 
 
+def hypotheses_table(result: Result) -> RichTable:
+    """Return what a monitoring weighed, the likeliest parameter first."""
+    keys = ("parameter", "probability", "before", "after", "instant", "instant_interval")
+    rows = [{k: row.get(k) for k in keys} for row in mappings(result.get("hypotheses"))]
+    return draw(tables.generic(rows), "Which parameter changed, and when")
+
+
+def patterns_table(result: Result) -> RichTable:
+    """Return the patterns that a monitoring compared."""
+    return draw(tables.generic(result.get("patterns")), "How it changed")
+
+
 def _records(result: Result) -> Text:
     """Return the records of the result on one line each."""
     body = Text()
@@ -135,7 +147,7 @@ def _experiment(result: Result) -> Text:
 def renderables(result: Result) -> list[RenderableType]:
     """Return what `print_result` prints, in order, without empty pieces."""
     pieces: list[RenderableType] = [verdict_panel(result)]
-    shown = _SHOWN.get(kind(result), tuple(_TABLES))
+    shown = _SHOWN.get(kind(result), _STANDARD)
     pieces += [_TABLES[key](result) for key in shown if mappings(result.get(key))]
     pieces += [
         draw(tables.beside(entry.get("parameters")), "By output error beside it")
@@ -156,7 +168,10 @@ _TABLES: dict[str, Callable[[Result], RichTable]] = {
     "channels": channels_table,
     "parameters": parameters_table,
     "where": _where,
+    "hypotheses": hypotheses_table,
+    "patterns": patterns_table,
 }
+_STANDARD = ("steps", "candidates", "channels", "parameters", "where")
 _SHOWN = {
     "refinement": ("steps", "parameters"),
     "diagnosis": ("candidates", "parameters", "where"),
@@ -164,6 +179,7 @@ _SHOWN = {
     "fit": ("parameters", "channels"),
     "check": ("parameters",),
     "tuning": (),
+    "monitoring": ("hypotheses", "patterns"),
 }
 
 

@@ -9,6 +9,7 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from physid.report import figures
+from physid.report.courses import instants_picture, track_picture
 from physid.report.layout import Picture, picture
 from physid.report.loops import nyquist_picture, step_picture
 from physid.report.reading import (
@@ -69,6 +70,8 @@ def _main_picture(result: Result, curves: Curves) -> Picture | None:
     """Draw the picture that carries the answer."""
     if kind(result) == "simulation":
         return first_column(curves, _FIRST_HEIGHT)
+    if kind(result) == "monitoring":
+        return instants_picture(curves, _FIRST_HEIGHT)
     if kind(result) == "tuning":
         return step_picture(curves, _FIRST_HEIGHT)
     return first_picture(result, curves, _FIRST_HEIGHT)
@@ -76,6 +79,8 @@ def _main_picture(result: Result, curves: Curves) -> Picture | None:
 
 def _second_picture(result: Result, curves: Curves) -> Picture | None:
     """Draw the picture beside it: errors, or the curve that keeps a loop stable."""
+    if kind(result) == "monitoring":
+        return track_picture(curves, _FIRST_HEIGHT)
     if kind(result) == "tuning":
         return nyquist_picture(result, curves, _FIRST_HEIGHT)
     return _error_picture(result)

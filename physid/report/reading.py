@@ -26,6 +26,7 @@ SCHEMAS = {
     "physid.simulation/1": "simulation",
     "physid.effects/1": "catalogue",
     "physid.tuning/1": "tuning",
+    "physid.monitoring/1": "monitoring",
 }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from physid.report import figures, tables
+from physid.report.courses import monitoring_sections
 from physid.report.forces import force_map_blocks, latent_blocks
 from physid.report.layout import Block, Picture, Section, picture, section
 from physid.report.loops import tuning_sections
@@ -37,6 +38,8 @@ def sections(result: Result, curves: Curves) -> list[Section]:
         return [one for one in found if one is not None]
     if kind(result) == "tuning":
         return [one for one in tuning_sections(result, curves) if one is not None]
+    if kind(result) == "monitoring":
+        return [one for one in monitoring_sections(result, curves) if one is not None]
     if kind(result) == "catalogue":
         return families(result)
     found = [

@@ -133,6 +133,7 @@ def summarise(result: Result) -> Summary:
         "simulation": _simulation,
         "catalogue": _catalogue,
         "tuning": _tuning,
+        "monitoring": _monitoring,
     }
     summary = makers.get(kind(result), _comparison)(result)
     sentence = text(result.get("sentence")).strip()
@@ -379,6 +380,18 @@ def _tuning(result: Result) -> Summary:
     )
     tone = "good" if result.get("verdict") == "certified" else "warn"
     return Summary(headline="A gain was tuned.", detail="", facts=facts, tone=tone)
+
+
+def _monitoring(result: Result) -> Summary:
+    """Summarise a monitoring; its own sentence is the headline."""
+    best = (*mappings(result.get("hypotheses")), {})[0]
+    facts = (
+        ("Chance without a change", p_value(number(result.get("p_value")))),
+        ("Likeliest", text(best.get("parameter"))),
+        ("Its probability", percent(number(best.get("probability")))),
+    )
+    tone = {"changed": "warn", "nothing_changed": "good"}.get(text(result.get("verdict")), "plain")
+    return Summary(headline="A record was monitored.", detail="", facts=facts, tone=tone)
 
 
 def _deviations(result: Result) -> dict[str, object]:

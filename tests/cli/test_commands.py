@@ -14,7 +14,7 @@ from physid.record import Record
 
 COMMANDS = (
     *("simulate", "fit", "check", "compare", "diagnose", "refine"),
-    *("tune", "effects", "report", "demo"),
+    *("tune", "monitor", "effects", "report", "demo"),
 )
 PARAMETER = {
     "name": "load.damping",
