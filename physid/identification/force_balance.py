@@ -33,8 +33,8 @@ POINTS = 1000
 """Most instants used per record; the closing balance of a result uses more."""
 FEWEST_POINTS = 50
 """... of a stretch of a long record."""
-LONGEST = 20000
-"""Samples of a record beyond which stretches of it are used, so many in all."""
+SPACING = 20
+"""Samples per instant beyond which stretches of a record are used rather than all of it."""
 PIECES = 8
 """Stretches of a long record."""
 NUMBER_OF_WIDTHS = 5
@@ -219,7 +219,7 @@ def solve_balance(
     hold: Hold = simulator.hold if simulator else "zero"
     theta = np.array([p.value for p in parameters]) if theta is None else theta.copy()
     step = min(e.dt for e in experiments)
-    pieces = [piece for e in experiments for piece in _pieces(e)]
+    pieces = [piece for e in experiments for piece in _pieces(e, SPACING * points)]
     share = max(points * len(experiments) // len(pieces), FEWEST_POINTS)
     start = model.compile(step)
     motions = [motion_of(model, e, start, width, hold, share) for e in pieces]
@@ -282,12 +282,12 @@ def balance(
     )
 
 
-def _pieces(experiment: Experiment) -> list[Experiment]:
-    """Return the record, or some stretches evenly spread over a long one."""
+def _pieces(experiment: Experiment, longest: int) -> list[Experiment]:
+    """Return the record, or some stretches evenly spread over one longer than so many samples."""
     n = experiment.samples
-    if n <= LONGEST:
+    if n <= longest:
         return [experiment]
-    length = LONGEST // PIECES
+    length = longest // PIECES
     firsts = np.linspace(0, n - length, PIECES).astype(int)
     return [
         replace(
