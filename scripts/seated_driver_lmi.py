@@ -28,7 +28,7 @@ from seated_driver_study.constants import constants, emps, other_rigs  # noqa: E
 from seated_driver_study.rig import Seat  # noqa: E402
 from seated_driver_study.schedules import case_2, proportional  # noqa: E402
 from seated_driver_study.steps import case_1  # noqa: E402
-from seated_driver_study.tables import tables  # noqa: E402
+from seated_driver_study.tables import noise_free_tables, tables  # noqa: E402
 
 MEASURED = next(
     (p for p in (ROOT / "measured", ROOT.parent / "shared" / "measured") if p.exists()),
@@ -67,6 +67,7 @@ def main(
         "seed": seed,
         "seconds": time.perf_counter() - begin,
         "figures": figures,
+        **noise_free_tables(seat, rngs[92]),
         "tables_4_to_7": lines,
         "sentences": [*said_1, *said_2, *said_3, *said_4],
     }
@@ -76,8 +77,16 @@ def main(
 def readable(result: dict[str, Any]) -> str:
     """Write the figures for a reader."""
     lines = [f"seed {result['seed']}, {result['seconds']:.0f} s", *result["sentences"], ""]
+    for row in [*result["table_2"], *result["table_3"]]:
+        lines.append(
+            f"{row['parameter']}: true {row['true']:.5g}, paper {row['paper']:.5g}, ours {row['ours']:.9g}"
+        )
     for row in result["tables_4_to_7"]:
-        lines.append("  ".join(f"{k} {v:.3g}" for k, v in row.items()))
+        each = row["errors_percent"]
+        lines.append("  ".join(f"{k} {v:.3g}" for k, v in row.items() if v is not each))
+        lines.append(
+            "  ".join(f"{n} {e['paper']:.3g} | {e['ours']:.3g} %" for n, e in each.items())
+        )
     for f in result["figures"]:
         lines.append(
             f"{'ok ' if f['holds'] else 'NOT'} {f['name']}: {f['value']:.6g} {f['op']} {f['bound']}"

@@ -126,7 +126,7 @@ def _candidates(result: Result) -> Section | None:
             pairs=tuple(pairs),
         ),
     ]
-    lead = "Every candidate was refitted with all other parameters free. Errors and p-values come "
+    lead = "Each was refitted with all other parameters free, the most promising first. Errors and p-values come "
     lead += "from data that took no part in the choice; p is corrected for all candidates tried."
     return section("candidates", "Candidates and their evidence", lead, blocks)
 
