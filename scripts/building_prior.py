@@ -302,8 +302,8 @@ def main(
     begin, figures = time.perf_counter(), Figures()
     rows = fig_9(figures, 20 if small else 200, rngs[0])
     which(figures, 48 if small else 400, rngs[1])
-    lone(figures, 4 if small else 40, rngs[2])
-    other_rigs(figures, 4 if small else 40, rngs[3])
+    lone(figures, 4 if small else 100, rngs[2])
+    other_rigs(figures, 4 if small else 100, rngs[3])
     result = {
         "seed": seed,
         "seconds": time.perf_counter() - begin,
