@@ -105,10 +105,11 @@ def minimise(
             point = point if done else None
             continue
         # Near the minimum each step gains a like share of what the one before it gained; one from
-        # rough columns, or cut short, foretells nothing.
+        # rough columns, cut short or damped, foretells nothing.
         before, fall = gained, chi2 - step.chi2
         gained = fall if step.full and not rough else 0.0
-        expected = fall * min(max(fall / before, LEAST_SHARE), 1.0) if before > 0.0 else fall
+        foretold = before > 0.0 and step.full
+        expected = fall * min(max(fall / before, LEAST_SHARE), 1.0) if foretold else fall
         done = expected < tolerance * chi2 or step.chi2 < enough
         # Old columns end where they, not those of the minimum, are orthogonal to the residual.
         serves = step.full and bool(point.rows) and fall > SERVES * step.predicted
@@ -135,7 +136,7 @@ def minimise(
 
 
 class _Step(NamedTuple):
-    """A step that lowered chi2: where to, how the states moved, and whether it was the full one."""
+    """A step that lowered chi2: where to, how the states moved, and whether it was the first one tried."""
 
     theta: np.ndarray
     states: list[np.ndarray]
@@ -158,7 +159,7 @@ def _descend(
     """Try ever shorter and more damped steps until one lowers chi2; return it and the damping."""
     theta, states, chi2 = start
     limits = [p.lower for p in problem.parameters], [p.upper for p in problem.parameters]
-    for share in SHARES:
+    for k, share in enumerate(SHARES):
         change, predicted = _step(problem, point, theta, damping)
         shifts = [share * d for d in point.state_steps(change)]
         moved = [_moved(problem.model, x, d) for x, d in zip(states, shifts, strict=True)]
@@ -166,7 +167,7 @@ def _descend(
         tried = residuals_of(problem, [target], [moved])[0]
         value = _chi2(problem, target, tried)
         if np.isfinite(value) and value < chi2:
-            full = share == 1.0
+            full = k == 0
             return _Step(target, moved, tried, value, shifts, predicted, full), damping
         if predicted < tolerance * chi2 or once:
             break

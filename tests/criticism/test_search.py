@@ -1,0 +1,86 @@
+"""The search's parts: rivals that come nowhere near, effects that contain others, pairs taken apart."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from physid.criticism import search
+from physid.criticism.refit import Start, _seen_from, alike, refit, with_block, without_partner
+from physid.effects.catalogue import CATALOGUE
+from physid.identification.screening import scales_of, screen
+from physid.identification.study import Options, prepare
+from physid.plant.effect import Placed
+from physid.plant.structure import Place
+from tests.truth.bank import draw, make, write
+
+HINGE = Place("joint", "hinge")
+EFFECTS = {e.name: e for e in CATALOGUE}
+
+
+@pytest.fixture(scope="module")
+def rubbing(tmp_path_factory):
+    """The pendulum servo with hidden Coulomb friction: its study and its base fits."""
+    folder = tmp_path_factory.mktemp("rubbing")
+    case = draw("pendulum_servo", "coulomb_friction", "hinge", 0.003, seed=12, seconds=(4.0, 4.0))
+    write(make(case), folder)
+    fit = case.fit if case.fit == "auto" else list(case.fit)
+    study = prepare(folder / "model.xml", [folder / "train.csv"], Options(fit=fit))
+    base = search.base_of(study)
+    long = base.problems["long"]
+    scored = screen(long, base.fits["long"], [(EFFECTS["coulomb_friction"], HINGE)])
+    scales = scales_of(long, base.fits["long"])
+    return SimpleNamespace(study=study, base=base, scored=scored, scales=scales)
+
+
+def starts_of(scored):
+    return [Start(s.start, s.theta) for s in scored]
+
+
+def refitted(rubbing, **options):
+    long = rubbing.base.problems["long"]
+    return refit(
+        rubbing.base, long, starts_of(rubbing.scored), rubbing.scales[HINGE], rank=0, **options
+    )
+
+
+def test_a_start_that_comes_nowhere_near_is_not_followed(rubbing):
+    found = refitted(rubbing)
+    assert found is not None
+    assert search._noise_like(rubbing.base, found)
+    assert refitted(rubbing, near=0.0) is None
+    assert refitted(rubbing, near=np.inf) is not None
+
+
+def test_an_effect_that_contains_an_explaining_one_waits_for_its_fit(rubbing):
+    found = refitted(rubbing)
+    stribeck = SimpleNamespace(effect=EFFECTS["stribeck_friction"], place=HINGE)
+    elsewhere = SimpleNamespace(effect=EFFECTS["stribeck_friction"], place=Place("joint", "other"))
+    drag = SimpleNamespace(effect=EFFECTS["quadratic_drag"], place=HINGE)
+    assert search._contains(stribeck, found)
+    assert not search._contains(elsewhere, found)
+    assert not search._contains(drag, found)
+    assert search._shaped(EFFECTS["stribeck_friction"])
+    assert not search._shaped(EFFECTS["coulomb_friction"])
+
+
+def test_effects_of_a_pair_are_fitted_alone_from_where_it_ended(rubbing):
+    first = with_block(rubbing.base, refitted(rubbing))
+    inner = first.problem.with_windows(rubbing.base.problems["long"].windows)
+    drag = EFFECTS["quadratic_drag"]
+    start = Start(Placed(drag, HINGE, {"drag": 1e-4}), first.fits["long"].theta)
+    pair = refit(rubbing.base, inner, [start], rubbing.scales[HINGE], rank=1, already=first.fitted)
+    assert len(pair.added) == 2
+    alone = without_partner(rubbing.base, pair, rubbing.scales)
+    assert {f.added[0].effect.name for f in alone} <= {"coulomb_friction", "quadratic_drag"}
+    best = min(alone, key=lambda f: f.fits["long"].chi2)
+    assert best.added[0].effect.name == "coulomb_friction"
+    assert best.fits["long"].chi2 == pytest.approx(first.fits["long"].chi2, rel=0.02)
+
+
+def test_shapes_seen_from_the_best_are_new_ones(rubbing):
+    found = refitted(rubbing)
+    known = starts_of(rubbing.scored)
+    for start in _seen_from(rubbing.base, rubbing.base.problems["long"], found, known):
+        assert not any(alike(start.placed, k.placed) for k in known)
+        assert not alike(start.placed, found.fitted[-1])
