@@ -33,7 +33,8 @@ import typer  # noqa: E402
 from rich.console import Console  # noqa: E402
 from rich.table import Table  # noqa: E402
 
-PARTS = ("fits", "diagnoses", "growth", "chains", "threads", "starts")
+PARTS = ("fits", "diagnosis", "arm", "growth", "chains", "threads", "starts")
+WITH_PEER = {"fits", "diagnosis", "arm"}
 
 
 def picture(outcome: studies.Outcome) -> go.Figure:
@@ -69,7 +70,7 @@ def main(
     repeats: Annotated[int, typer.Option(help="Turns of both sides.")] = 3,
     only: Annotated[
         list[str] | None,
-        typer.Option(help="fits, diagnoses, growth, chains, threads, starts; all if omitted."),
+        typer.Option(help=f"One of {', '.join(PARTS)}; all if omitted."),
     ] = None,
     small: Annotated[bool, typer.Option("--small", help="Short records, one turn.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for figures.json and a picture.")] = None,
@@ -79,7 +80,7 @@ def main(
     seed = int(time.time()) if seed is None else seed
     console = Console(stderr=as_json)
     wanted = only or list(PARTS)
-    if {"fits", "diagnoses"} & set(wanted) and find_spec("absl") is None:
+    if WITH_PEER & set(wanted) and find_spec("absl") is None:
         console.print(
             "The peer is not installed: pip install 'mujoco[sysid]', or leave fits and diagnoses out.",
             markup=False,
@@ -94,7 +95,8 @@ def main(
     turns = 1 if small else repeats
     parts: dict[str, Callable[[], object]] = {
         "fits": lambda: studies.fits(outcome, seed, turns, say),
-        "diagnoses": lambda: studies.diagnoses(outcome, seed, turns, say),
+        "diagnosis": lambda: studies.diagnosis(outcome, seed, turns, say),
+        "arm": lambda: studies.arm_diagnosis(outcome, seed, say),
         "growth": lambda: studies.growth(outcome, seed, 10.0 if small else 1000.0, say),
         "chains": lambda: studies.chains(outcome, seed, (2, 4) if small else (2, 4, 8, 12), say),
         "threads": lambda: studies.threads(outcome, seed, say),

@@ -107,35 +107,48 @@ def hidden_anchor() -> tuple[Rig, Rig]:
     return full, lacking(full, "l.frictionloss")
 
 
-def diagnoses(outcome: Outcome, seed: int, repeats: int, say: Callable[[str], None]) -> None:
-    """Diagnose records with one hidden friction; compare with one peer's fit of the same record."""
-    cases = (
-        ("anchor", *hidden_anchor(), 1.0, 0.5, repeats),
-        ("arm6", arm(), lacking(arm(), "j2.frictionloss"), 3.0, 0.5, 1),
+def diagnosis(outcome: Outcome, seed: int, repeats: int, say: Callable[[str], None]) -> None:
+    """Diagnose the anchor with a hidden friction, turn by turn with a peer's fit of the same record."""
+    _diagnosed(
+        outcome, "anchor", hidden_anchor(), 1.0, record(hidden_anchor()[0], seed), repeats, say
     )
-    for name, full, lean, bound, share, times in cases:
-        say(f"diagnosis of {name}")
-        run = record(full, seed)
-        ratios, sentence, own = [], "", []
-        for k in range(times + (1 if times > 1 else 0)):
-            peer = peer_fit(lean, run, lean.start(share))
-            seconds, sentence = own_diagnosis(lean, run, lean.start(0.2))
-            if k or times == 1:
-                ratios.append(seconds / peer.seconds)
-                own.append(seconds)
-        outcome.row(
-            "diagnoses",
-            rig=name,
-            own_s=statistics.median(own),
-            peer_s=peer.seconds,
-            ratio=statistics.median(ratios),
-            lowest=min(ratios),
-            highest=max(ratios),
-            sentence=sentence,
-        )
-        outcome.figure(
-            f"{name}: diagnosis over one peer's fit", statistics.median(ratios), "<=", bound
-        )
+
+
+def arm_diagnosis(outcome: Outcome, seed: int, say: Callable[[str], None]) -> None:
+    """Diagnose the arm with a hidden friction once, beside a peer's fit of the same record."""
+    pair = arm(), lacking(arm(), "j2.frictionloss")
+    _diagnosed(outcome, "arm6", pair, 3.0, record(pair[0], seed), 1, say)
+
+
+def _diagnosed(
+    outcome: Outcome,
+    name: str,
+    pair: tuple[Rig, Rig],
+    bound: float,
+    run: Run,
+    repeats: int,
+    say: Callable[[str], None],
+) -> None:
+    say(f"diagnosis of {name}")
+    lean = pair[1]
+    ratios, sentence, own = [], "", []
+    for k in range(repeats + (1 if repeats > 1 else 0)):
+        peer = peer_fit(lean, run, lean.start())
+        seconds, sentence = own_diagnosis(lean, run, lean.start(0.2))
+        if k or repeats == 1:
+            ratios.append(seconds / peer.seconds)
+            own.append(seconds)
+    outcome.row(
+        "diagnoses",
+        rig=name,
+        own_s=statistics.median(own),
+        peer_s=peer.seconds,
+        ratio=statistics.median(ratios),
+        lowest=min(ratios),
+        highest=max(ratios),
+        sentence=sentence,
+    )
+    outcome.figure(f"{name}: diagnosis over one peer's fit", statistics.median(ratios), "<=", bound)
 
 
 def growth(outcome: Outcome, seed: int, longest: float, say: Callable[[str], None]) -> None:
