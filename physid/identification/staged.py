@@ -25,7 +25,7 @@ LEAST_BEGINNING = 200
 """Samples below which the beginning of a window is not fitted by itself."""
 ENOUGH = 5000
 """Samples used while a start is looked for."""
-SETTLED = 1.5
+SETTLED = 1.15
 """A start whose mean squares on long windows are below this, relative to the noise's, is near enough."""
 NEAR, FAR = 30.0, 3e3
 """A few steps are tried at once from a start below the first, times that, and from the best below the
