@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
+import io
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -94,9 +96,10 @@ def peer_fit(rig: Rig, run: Run, start: dict[str, float]) -> Fit:
         )
         residual = sysid.build_residual_fn(models_sequences=[sequences], build_model=build)
         wall, cpu = time.perf_counter(), time.process_time()
-        found, _ = sysid.optimize(
-            parameters, residual, optimizer="mujoco", verbose=False, max_iters=ITERATIONS
-        )
+        with contextlib.redirect_stdout(io.StringIO()):  # it prints whatever it is told
+            found, _ = sysid.optimize(
+                parameters, residual, optimizer="mujoco", verbose=False, max_iters=ITERATIONS
+            )
         cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
     finally:
         rollout.Rollout.rollout = original
