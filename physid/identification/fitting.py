@@ -17,11 +17,11 @@ from physid.identification.force_balance import Balance, balance, observable, wi
 from physid.identification.problem import Problem, residuals_of
 from physid.identification.staged import (
     LONG,
-    SETTLED,
     fit_growing,
     fit_whole,
     fit_windows,
     on_whole_records,
+    settled_squares,
     states_only,
     windowed,
 )
@@ -98,7 +98,7 @@ def _from_windows(study: Study) -> Estimate:
     """
     with suppress(NumericsError):
         first = fit_whole(on_whole_records(study.problem), study.theta, study.states)
-        if first.squares < SETTLED * study.problem.measurements():
+        if first.squares < settled_squares(study.problem):
             return first
     windows = windowed(study.problem, LONG)
     near = fit_windows(windows, study.theta)

@@ -287,7 +287,7 @@ def _promising(
     if sketch is None or len(trials) < MANY:
         return trials
     scored = sorted(_scores(sketch, effect, place, trials), key=lambda s: -s[0])
-    return [s[1] for s in scored[:KEPT]]
+    return [s[1] for s in scored[:KEPT]] or trials
 
 
 def _scores(

@@ -25,8 +25,9 @@ LEAST_BEGINNING = 200
 """Samples below which the beginning of a window is not fitted by itself."""
 ENOUGH = 5000
 """Samples used while a start is looked for."""
-SETTLED = 1.15
-"""A start whose mean squares on long windows are below this, relative to the noise's, is near enough."""
+SETTLED, SETTLED_ON_ENGINE = 1.15, 1.5
+"""A start whose mean squares on long windows are below this, relative to the noise's, is near enough.
+The second holds where MuJoCo simulates, whose friction leaves more than noise at any step."""
 NEAR, FAR = 30.0, 3e3
 """A few steps are tried at once from a start below the first, times that, and from the best below the
 second."""
@@ -100,7 +101,7 @@ def starting_point(problem: Problem, extra: Sequence[np.ndarray] = ()) -> Start:
     if quick is not None:
         return quick
     long = thinned(windowed(problem, LONG), ENOUGH)
-    settled, judge = SETTLED * long.measurements(), _Judge(long)
+    settled, judge = settled_squares(long), _Judge(long)
     found = [*_from_force_balance(problem), problem.start(), *extra]
     costs = [judge.cost(theta) for theta in found]
     best = found[int(np.argmin(costs))] if np.isfinite(min(costs)) else problem.start()
@@ -164,10 +165,16 @@ class _Judge:
             return None
 
 
+def settled_squares(problem: Problem) -> float:
+    """Return the squares below which values on some windows are near enough to the minimum."""
+    compiled = all(w.simulator.compiled for w in problem.windows)
+    return (SETTLED if compiled else SETTLED_ON_ENGINE) * problem.measurements()
+
+
 def _quick_start(problem: Problem, extra: Sequence[np.ndarray]) -> Start | None:
     """Return a start that a few steps from the force balance or the given values settle, if one does."""
     long = _evenly(windowed(problem, LONG), ENOUGH // 4)
-    settled, judge = SETTLED * long.measurements(), _Judge(long)
+    settled, judge = settled_squares(long), _Judge(long)
     found: list[np.ndarray] = []
     costs: list[float] = []
     for theta in chain(_from_force_balance(problem), [problem.start(), *extra]):

@@ -47,6 +47,14 @@ def test_the_true_ripple_is_among_the_few_that_are_simulated_everywhere(fitted):
     assert best.start.values["periods"] == case.parameters["periods"]
 
 
+def test_where_a_third_of_the_windows_tells_nothing_all_shapes_are_tried(fitted, monkeypatch):
+    _, problem, estimate = fitted
+    sketch = screening._sketch(problem, estimate)
+    trials = COGGING.trials(sketch.scales[PLACE])
+    monkeypatch.setattr(screening, "_scores", lambda *_: [])
+    assert screening._promising(sketch, COGGING, PLACE, trials) is trials
+
+
 def test_few_shapes_and_few_windows_are_left_alone(fitted):
     _, problem, estimate = fitted
     trials = [*COGGING.trials(screening.ground_of(problem, estimate).scales[PLACE])]
