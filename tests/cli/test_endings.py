@@ -95,7 +95,8 @@ def test_demo_leaves_nothing_when_interrupted(call, monkeypatch, tmp_path):
 
 
 SLEEPER = """
-import sys, time
+import signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where tests run in the background
 import physid
 from physid.cli import main
 
