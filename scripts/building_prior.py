@@ -16,17 +16,17 @@ import json
 import os
 import sys
 import time
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[_name] = "1"
-sys.path[:0] = [str(Path(__file__).resolve().parents[1])]
+sys.path[:0] = [str(Path(__file__).resolve().parents[1]), str(Path(__file__).resolve().parent)]
 
 import mujoco  # noqa: E402
 import numpy as np  # noqa: E402
 import typer  # noqa: E402
+from prior_study import Figures  # noqa: E402
 
 from physid.effects.catalogue import load_model  # noqa: E402
 from physid.identification.whitening import Noise, cramer_rao, minimise  # noqa: E402
@@ -48,25 +48,6 @@ DOUBTED = 5.0
 """Standard deviations of the squares from which an estimate is disowned."""
 ALARM = 0.005
 """p-value below which the monitor gives alarm."""
-
-
-@dataclass
-class Figures:
-    """What was measured beside what is asked for."""
-
-    entries: list[dict[str, Any]] = field(default_factory=list)
-
-    def add(self, name: str, value: float, op: str, bound: Any) -> None:
-        """Keep a figure and whether it holds."""
-        if op == "in":
-            holds = bool(bound[0] <= value <= bound[1])
-        else:
-            holds = bool(value <= bound if op == "<=" else value >= bound)
-        self.entries.append(
-            {"name": name, "value": float(value), "op": op, "bound": bound, "holds": holds}
-        )
-        line = f"{'holds' if holds else 'FAILS'}  {name}: {value:.6g} {op} {bound}"
-        print(line, file=sys.stderr, flush=True)
 
 
 def rig(names: tuple[str, ...], believed: float | None = None) -> Pulled:
