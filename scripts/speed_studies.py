@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 from speed_own import own_diagnosis, own_fit
-from speed_peer import Fit, peer_fit
+from speed_peer import peer_fit
 from speed_problems import ANCHOR, ANCHOR_NONLINEAR, PENDULUM, Rig, Run, arm, chain, record
 
 HERE = Path(__file__).resolve().parent
@@ -27,8 +27,6 @@ PEER_START = {"chain4": 0.05}
 """Where the peer does not converge from a start 50 % off, it gets this one; physid keeps 50 %."""
 CONVERGED = 1.3
 """Mean squares over the noise's below which a fit has found the minimum."""
-WRITTEN = 3
-"""Decimals of a share of the true value."""
 
 
 @dataclass(kw_only=True)
@@ -50,9 +48,8 @@ class Outcome:
         self.tables.setdefault(table, []).append(cells)
 
 
-def fits(outcome: Outcome, seed: int, repeats: int, say: Callable[[str], None]) -> dict[str, Fit]:
-    """Fit every rig with both, turn by turn; return the peer's last fits."""
-    peers = {}
+def fits(outcome: Outcome, seed: int, repeats: int, say: Callable[[str], None]) -> None:
+    """Fit every rig with both, turn by turn."""
     for rig in (ANCHOR, PENDULUM, ANCHOR_NONLINEAR, chain(4), arm()):
         say(f"fits of {rig.name}")
         run = record(rig, seed)
@@ -64,7 +61,6 @@ def fits(outcome: Outcome, seed: int, repeats: int, say: Callable[[str], None]) 
             own.append(statistics.median(own_fit(rig, run, rig.start()).fit for _ in range(3)))
             ratios.append(peer[-1].seconds / own[-1])
         last = own_fit(rig, run, rig.start())
-        peers[rig.name] = peer[-1]
         outcome.row(
             "fits",
             rig=rig.name,
@@ -90,7 +86,6 @@ def fits(outcome: Outcome, seed: int, repeats: int, say: Callable[[str], None]) 
         outcome.figure(
             f"{rig.name}: physid's mean squares over the noise's", last.chi2, "<=", CONVERGED
         )
-    return peers
 
 
 def lacking(rig: Rig, name: str) -> Rig:
