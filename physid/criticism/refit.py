@@ -128,7 +128,7 @@ def start_of(base: Problem, theta: np.ndarray, candidate: Problem) -> np.ndarray
     return np.array([known.get(p.name, p.value) for p in candidate.parameters])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Start:
     """Where a refit starts: the effect at its place, and the other parameters (p,)."""
 
@@ -165,16 +165,28 @@ def refit(
     Refit or None
         The best; None if none can be simulated, is plausible, or comes near.
     """
-    promising = _promising(base, inner, [*starts, *_by_balance(inner, starts)], scales, near)
+    every = [*starts, *_by_balance(inner, starts)]
+    promising = _promising(base, inner, every, scales, near)
     if not promising:
         return None
     best = _best_of(base, inner, promising, scales, rank, already)
+    if best is None or best.ratio(base, "long") > 1.0:
+        # A fit that ends worse than the model it contains has lost its way.
+        others = _best_of(
+            base, inner, [s for s in every if s not in promising], scales, rank, already
+        )
+        best = _better(base, best, others)
     if best is None or not any(c.shape or c.fixed for c in starts[0].placed.effect.coefficients):
         return best
     again = _best_of(
         base, inner, _seen_from(base, inner, best, [*starts, *promising]), scales, rank, already
     )
-    return min((f for f in (best, again) if f is not None), key=lambda f: sum(_logs(f, base)))
+    return _better(base, best, again)
+
+
+def _better(base: Base, *fits: Refit | None) -> Refit | None:
+    """Return the fit that lowers the squares more on windows, of those that there are."""
+    return min((f for f in fits if f is not None), key=lambda f: sum(_logs(f, base)), default=None)
 
 
 def without_partner(base: Base, pair: Refit, scales: Mapping[Place, Scales]) -> list[Refit]:
@@ -197,16 +209,20 @@ def _seen_from(base: Base, inner: Problem, best: Refit, known: Sequence[Start]) 
     """Return starts in shapes that show only once the model's own parameters have made room.
 
     The shapes are screened where the base model was distorted by what it lacks; from the best
-    candidate's parameters they are seen more clearly.
+    candidate's parameters they are seen more clearly, unless the model diverges there without it.
     """
     own = best.added[-1]
     problem = inner.with_windows(base.problems["long"].windows)
     theta = start_of(best.problem, best.fits["long"].theta, inner)
-    ground = replace(states_only(replace(problem, model=problem.at(theta))), theta=theta)
+    try:
+        ground = replace(states_only(replace(problem, model=problem.at(theta))), theta=theta)
+        seen = screen(problem, ground, [(own.effect, own.place)])
+    except NumericsError:
+        return []
     tried = [*(s.placed for s in known), best.fitted[-1]]
     return [
         Start(s.start, s.theta)
-        for s in screen(problem, ground, [(own.effect, own.place)])
+        for s in seen
         if not any(alike(s.start, placed) for placed in tried)
     ]
 

@@ -54,6 +54,8 @@ NOISE_LIKE = 1.25
 RIVAL = 30.0
 """Mean squares over the noise's, after a first step, above which nothing rivals a candidate that leaves
 noise alone."""
+NOISE_ALONE = 1.03
+"""A residual within this factor leaves nothing for an effect that contains the one that left it."""
 WELL_NAMED = 0.95
 """... beyond which no pair is looked for."""
 
@@ -84,9 +86,12 @@ def search(
     long = base.problems["long"]
     grounds = [(base.problems[h], base.fits[h]) for h in base.fits]
     if base.fits["long"].squares > NOISE_LIKE * long.measurements():
-        grounds.insert(0, (long, _undistorted(study, long)))
+        with suppress(NumericsError):
+            grounds.insert(0, (long, _undistorted(study, long)))
     groups = _screened(grounds, candidates, REFITS, TRIALS)
+    scales = {g[0].place: g[0].scales for g in groups}
     fits: list[Refit] = []
+    later: list[int] = []
     # Effects without a shape cost least, and may make it needless to follow the others.
     order = sorted(range(len(groups)), key=lambda k: _shaped(groups[k][0].effect))
     for done, k in enumerate(order):
@@ -94,13 +99,15 @@ def search(
         report(f"refitting {group[0].effect.name}", 0.15 + 0.5 * done / len(groups))
         explaining = [f for f in fits if _noise_like(base, f)]
         if any(_contains(group[0], f) for f in explaining):
+            later.append(k)
             continue
         near = RIVAL * long.measurements() if explaining else np.inf
-        found = refit(base, long, _starts(group), group[0].scales, rank=k, near=near)
-        if found is not None:
-            fits.append(found)
-    scales = {g[0].place: g[0].scales for g in groups}
+        fits += _refitted(base, long, group, k, near)
     fits = _best_with_blocks(base, _with_siblings(base, fits, scales), scales)
+    if later and fits and not _noise_like(base, fits[0], NOISE_ALONE):
+        report("refitting what contains it", 0.65)
+        fits += [f for k in later for f in _refitted(base, long, groups[k], k)]
+        fits = _best_with_blocks(base, _better_of(fits, base), scales)
     partnered = _wanting_partners(base, fits)
     if not partnered:
         return fits
@@ -112,12 +119,20 @@ def search(
     return _best_with_blocks(base, _better_of([*fits, *alone], base), scales)
 
 
+def _refitted(
+    base: Base, problem: Problem, group: Sequence[Scored], rank: int, near: float = np.inf
+) -> list[Refit]:
+    """Refit one effect at one place from all its starts; empty where it cannot be."""
+    found = refit(base, problem, _starts(group), group[0].scales, rank=rank, near=near)
+    return [] if found is None else [found]
+
+
 def _shaped(effect: Effect) -> bool:
     return any(c.shape or c.fixed for c in effect.coefficients)
 
 
 def _contains(scored: Scored, fit: Refit) -> bool:
-    """Say whether an effect contains a fitted one at its place; those are tried from its fit later on."""
+    """Say whether an effect contains a fitted one at its place: it can only be as good or better."""
     own = fit.added[0]
     return scored.place == own.place and own.effect.name in scored.effect.supersedes
 
@@ -259,10 +274,10 @@ def effective_samples(base: Base, fit: Refit, horizon: str) -> float:
     return problem.measurements() / colour(problem, fit.fits[horizon])
 
 
-def _noise_like(base: Base, fit: Refit) -> bool:
-    """Say whether a candidate leaves no more than noise at every horizon."""
+def _noise_like(base: Base, fit: Refit, factor: float = NOISE_LIKE) -> bool:
+    """Say whether a candidate leaves no more than noise, but for a factor, at every horizon."""
     return all(
-        fit.fits[h].squares <= NOISE_LIKE * base.problems[h].measurements() for h in fit.fits
+        fit.fits[h].squares <= factor * base.problems[h].measurements() for h in fit.fits
     )
 
 
