@@ -221,9 +221,7 @@ def _seen_from(base: Base, inner: Problem, best: Refit, known: Sequence[Start]) 
         return []
     tried = [*(s.placed for s in known), best.fitted[-1]]
     return [
-        Start(s.start, s.theta)
-        for s in seen
-        if not any(alike(s.start, placed) for placed in tried)
+        Start(s.start, s.theta) for s in seen if not any(alike(s.start, placed) for placed in tried)
     ]
 
 

@@ -276,9 +276,7 @@ def effective_samples(base: Base, fit: Refit, horizon: str) -> float:
 
 def _noise_like(base: Base, fit: Refit, factor: float = NOISE_LIKE) -> bool:
     """Say whether a candidate leaves no more than noise, but for a factor, at every horizon."""
-    return all(
-        fit.fits[h].squares <= factor * base.problems[h].measurements() for h in fit.fits
-    )
+    return all(fit.fits[h].squares <= factor * base.problems[h].measurements() for h in fit.fits)
 
 
 def explained(base: Base, fit: Refit) -> float:
