@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
-from physid.criticism.evidence import Judgement, judge
+from physid.criticism.evidence import Bench, Judgement, benches, judge
 from physid.criticism.refit import (
     Base,
     Refit,
@@ -23,7 +23,6 @@ from physid.criticism.search import (
     search,
     windows_of,
 )
-from physid.identification.problem import Problem
 from physid.identification.screening import possible_candidates
 from physid.identification.study import Study
 
@@ -96,10 +95,10 @@ def diagnose_study(
 
     report("fitting the model as it stands", 0.0)
     base = base_of(study)
-    judging = {h: windows_of(study, h, judging_spans) for h in base.fits}
     candidates = possible_candidates(study.problem)
     fits = search(study, base, candidates, lambda stage, share: report(stage, 0.1 + 0.8 * share))
     report("judging on data not used for the choice", 0.9)
+    judging = benches({h: windows_of(study, h, judging_spans) for h in base.fits}, base)
     ranked = _ranked(base, judging, fits, max(len(candidates), 1))
     verdict, sentence = _verdict(study, base, ranked, named)
     report("diagnosed", 1.0)
@@ -115,11 +114,11 @@ def diagnose_study(
 
 
 def _ranked(
-    base: Base, judging: dict[str, Problem], fits: Sequence[Refit], tried: int
+    base: Base, judging: Mapping[str, Bench], fits: Sequence[Refit], tried: int
 ) -> list[Candidate]:
     out = []
     for fit in fits:
-        judgement = judge(judging, base, fit)
+        judgement = judge(judging, fit)
         attempts = tried if len(fit.added) == 1 else tried * (tried - 1) // 2
         out.append(
             Candidate(

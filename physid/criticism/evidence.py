@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +12,7 @@ from scipy.special import ndtr
 from physid.criticism.refit import Base, Refit
 from physid.errors import NumericsError
 from physid.identification.estimate import Estimate
-from physid.identification.linearisation import linearise
+from physid.identification.linearisation import Linearisation, linearise
 from physid.identification.noise import correlation_time
 from physid.identification.problem import Problem
 from physid.identification.screening import orthonormal
@@ -32,7 +34,35 @@ class Judgement:
     after: np.ndarray
 
 
-def judge(judging: dict[str, Problem], base: Base, candidate: Refit) -> Judgement:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bench:
+    """The base model on judging windows: its states fitted there, and what its parameters could explain.
+
+    ``remaining`` (m,) is its residual with the windows' states projected out, ``basis`` (m, k) spans what
+    its parameters do, ``point`` the linearisation behind both.
+    """
+
+    problem: Problem
+    before: Estimate
+    point: Linearisation
+    basis: np.ndarray
+
+
+def benches(judging: Mapping[str, Problem], base: Base) -> dict[str, Bench]:
+    """Put the base model on the judging windows of every horizon over which it does not diverge."""
+    found = {}
+    for horizon, problem in judging.items():
+        theta = base.fits[horizon].theta
+        with suppress(NumericsError):
+            before = states_only(replace(problem, model=problem.at(theta)))
+            point = linearise(problem, theta, before.states, before.residuals)
+            found[horizon] = Bench(
+                problem=problem, before=before, point=point, basis=orthonormal(point.projected)
+            )
+    return found
+
+
+def judge(judging: Mapping[str, Bench], candidate: Refit) -> Judgement:
     """Judge a candidate against the base model on data that took no part in choosing it.
 
     Both models keep the parameters fitted elsewhere; only initial states are estimated here.  The
@@ -43,15 +73,15 @@ def judge(judging: dict[str, Problem], base: Base, candidate: Refit) -> Judgemen
     """
     p_values = []
     shown: dict[str, tuple[Problem, Estimate, Estimate]] = {}
-    for horizon, problem in judging.items():
-        if horizon not in candidate.fits or horizon not in base.fits:
+    for horizon, bench in judging.items():
+        if horizon not in candidate.fits:
             continue
         try:
-            before, after, t_values = _compare(problem, base, candidate, horizon)
+            after, t_values = _compare(bench, candidate, horizon)
         except NumericsError:
             continue
         p_values += [float(ndtr(-t)) for t in t_values]
-        shown[horizon] = (problem, before, after)
+        shown[horizon] = (bench.problem, bench.before, after)
     if not shown:
         blank = np.full(len(candidate.problem.sigma), np.nan)
         return Judgement(
@@ -67,27 +97,18 @@ def judge(judging: dict[str, Problem], base: Base, candidate: Refit) -> Judgemen
     )
 
 
-def _compare(
-    problem: Problem,
-    base: Base,
-    candidate: Refit,
-    horizon: str,
-) -> tuple[Estimate, Estimate, tuple[float, float]]:
-    """Return the base's and the candidate's fits of initial states on judging windows, and two t-values."""
-    theta = base.fits[horizon].theta
-    old = replace(problem, model=problem.at(theta))
-    new_model = candidate.problem.at(candidate.fits[horizon].theta)
-    new = replace(candidate.problem, windows=problem.windows, model=new_model)
-    before, after = states_only(old), states_only(new)
-    point = linearise(old, theta, before.states, before.residuals)
-    basis = orthonormal(point.projected)
+def _compare(bench: Bench, candidate: Refit, horizon: str) -> tuple[Estimate, tuple[float, float]]:
+    """Return the candidate's fit of initial states on judging windows, and two t-values."""
+    before, point, basis = bench.before, bench.point, bench.basis
+    model = candidate.problem.at(candidate.fits[horizon].theta)
+    after = states_only(replace(candidate.problem, windows=bench.problem.windows, model=model))
     difference = point.without_states(
         [a - b for a, b in zip(before.residuals, after.residuals, strict=True)]
     )
     direction = difference - basis @ (basis.T @ difference)
-    channels = len(problem.sigma)
+    channels = len(bench.problem.sigma)
     fall = sum_of_squares(before) - sum_of_squares(after)
-    return before, after, (_t_value(direction, point.remaining, channels), _t_mean(fall))
+    return after, (_t_value(direction, point.remaining, channels), _t_mean(fall))
 
 
 def sum_of_squares(estimate: Estimate) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -30,12 +31,13 @@ from physid.criticism.localisation import where
 from physid.criticism.pictures import diagnosis_curves, tested_curves
 from physid.criticism.refit import start_of, with_candidate
 from physid.effects.catalogue import load_model_text
+from physid.errors import NumericsError
 from physid.identification.accuracy import for_engine, with_substeps
 from physid.identification.estimate import Estimate
 from physid.identification.fitting import FAR_WORSE, Fitted, fit_study
 from physid.identification.output_error import minimise
 from physid.identification.problem import Problem
-from physid.identification.staged import states_only
+from physid.identification.staged import compiled, states_only
 from physid.identification.study import Options, Study, as_model, experiments_of, prepare
 from physid.identification.windows import whole
 from physid.plant.effect import Placed
@@ -66,7 +68,7 @@ def diagnose(
     study = prepare(model, records, settings)
     found = diagnose_study(study, span=(0.3, 0.85))
     settings.report("finding where the model fails", 0.85)
-    base = fit_study(study)
+    base = _base_fit(study, found)
     best = _best_fit(study, found) if found.candidates else None
     lack = lack_of(base, best)
     return Result(
@@ -74,6 +76,20 @@ def diagnose(
         curves=diagnosis_curves(base, best, lack),
         model=base.model,
     )
+
+
+def _base_fit(study: Study, found: Diagnosis) -> Fitted:
+    """Fit the model as it stands.
+
+    Where MuJoCo takes its time and something is missing anyhow, from where whole stretches led: the
+    fit is only what the model with the effect is held to.
+    """
+    slow = not compiled(study.problem)
+    if slow and found.verdict == "effect_missing" and "block" in found.base.fits:
+        with suppress(NumericsError):
+            near = replace(study, theta=found.base.fits["block"].theta)
+            return fit_study(near, from_windows=False)
+    return fit_study(study)
 
 
 def _best_fit(study: Study, found: Diagnosis) -> Fitted | None:

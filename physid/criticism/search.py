@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import zip_longest
@@ -26,9 +26,18 @@ from physid.effects.catalogue import CATALOGUE
 from physid.errors import NumericsError
 from physid.identification.estimate import Estimate
 from physid.identification.linearisation import reduce
+from physid.identification.preselection import preselected
 from physid.identification.problem import Problem
 from physid.identification.screening import Scored, possible_candidates, screen, shortlist
-from physid.identification.staged import ENOUGH, Spans, fit_windows, states_only, thinned, windowed
+from physid.identification.staged import (
+    ENOUGH,
+    Spans,
+    compiled,
+    fit_windows,
+    states_only,
+    thinned,
+    windowed,
+)
 from physid.identification.study import Study
 from physid.plant.effect import Effect, Placed, Scales
 from physid.plant.structure import Place
@@ -53,9 +62,10 @@ NOISE_LIKE = 1.25
 """A residual within this factor of the noise's variance is explained."""
 RIVAL = 30.0
 """Mean squares over the noise's, after a first step, above which nothing rivals a candidate that leaves
-noise alone."""
-NOISE_ALONE = 1.03
-"""A residual within this factor leaves nothing for an effect that contains the one that left it."""
+noise alone; at most half of what the model leaves."""
+NOISE_ALONE, NOISE_ALONE_ON_ENGINE = 1.03, 1.15
+"""A residual within this factor leaves nothing for an effect that contains the one that left it; the
+second where MuJoCo simulates, whose friction leaves more than noise at any step."""
 WELL_NAMED = 0.95
 """... beyond which no pair is looked for."""
 
@@ -84,12 +94,13 @@ def search(
     """
     report(f"screening {len(candidates)} candidates", 0.0)
     long = base.problems["long"]
-    grounds = [(base.problems[h], base.fits[h]) for h in base.fits]
+    grounds = _grounds(base.problems, base.fits)
     if base.fits["long"].squares > NOISE_LIKE * long.measurements():
         with suppress(NumericsError):
             grounds.insert(0, (long, _undistorted(study, long)))
     groups = _screened(grounds, candidates, REFITS, TRIALS)
     scales = {g[0].place: g[0].scales for g in groups}
+    limit = min(RIVAL * long.measurements(), 0.5 * base.fits["long"].squares)
     fits: list[Refit] = []
     later: list[int] = []
     # Effects without a shape cost least, and may make it needless to follow the others.
@@ -101,10 +112,11 @@ def search(
         if any(_contains(group[0], f) for f in explaining):
             later.append(k)
             continue
-        near = RIVAL * long.measurements() if explaining else np.inf
+        near = limit if explaining else np.inf
         fits += _refitted(base, long, group, k, near)
     fits = _best_with_blocks(base, _with_siblings(base, fits, scales), scales)
-    if later and fits and not _noise_like(base, fits[0], NOISE_ALONE):
+    alone = NOISE_ALONE if compiled(long) else NOISE_ALONE_ON_ENGINE
+    if later and fits and not _noise_like(base, fits[0], alone):
         report("refitting what contains it", 0.65)
         fits += [f for k in later for f in _refitted(base, long, groups[k], k)]
         fits = _best_with_blocks(base, _better_of(fits, base), scales)
@@ -179,6 +191,13 @@ def _undistorted(study: Study, problem: Problem) -> Estimate:
     return replace(found, theta=theta)
 
 
+def _grounds(
+    problems: Mapping[str, Problem], fits: Mapping[str, Estimate]
+) -> list[tuple[Problem, Estimate]]:
+    """Return where a model is held to its candidates: every horizon, or the long one in MuJoCo alone."""
+    return [(problems[h], fits[h]) for h in fits if h == "long" or compiled(problems[h])]
+
+
 def _screened(
     grounds: Sequence[tuple[Problem, Estimate]],
     candidates: Sequence[tuple[Effect, Place]],
@@ -188,8 +207,10 @@ def _screened(
     """Screen on several grounds and join the shortlists, alternating.
 
     What one ground proposes starts in the shapes that all of them see.  A ground near which the
-    simulation diverges is none.
+    simulation diverges is none.  Where MuJoCo simulates, the force balance chooses first.
     """
+    if not compiled(grounds[0][0]):
+        candidates = preselected(*grounds[0], candidates)
     screens = []
     for problem, fit in grounds:
         with suppress(NumericsError):
@@ -347,7 +368,7 @@ def _pairs(
                 a.effect.name in effect.supersedes and a.place == place for a in single.added
             )
         ]
-        grounds = [(problems[h], single.fits[h]) for h in single.fits]
+        grounds = _grounds(problems, single.fits)
         for group in _screened(grounds, rest, most, 1):
             pair = refit(
                 base,

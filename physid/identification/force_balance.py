@@ -233,7 +233,7 @@ def solve_balance(
         plant = problem.plant(values, step)
         with run_time_laws([plant]):
             forces = [missing_force(plant, m, compiled=compiled)[0] for m in motions]
-        return _filtered(forces, motions, width)
+        return filtered(forces, motions, width)
 
     std = np.full(len(theta), np.nan)
     columns = None
@@ -241,7 +241,7 @@ def solve_balance(
         base = residual(theta)
         # Where the parts are affine in the parameters, so is the force that is missing.
         if columns is None or family is None:
-            columns = _columns(parameters, theta, base, residual)
+            columns = force_columns(parameters, theta, base, residual)
         theta, std = _solve(parameters, theta, base, columns)
     return Solution(theta=theta, std_error=std, motions=motions)
 
@@ -264,8 +264,8 @@ def balance(
     plant = model.with_values(values).compile(min(e.dt for e in experiments))
     with run_time_laws([plant]):
         forces = [missing_force(plant, m, compiled=False) for m in found.motions]
-    left = _filtered([f[0] for f in forces], found.motions, width)
-    applied = _filtered([f[1] for f in forces], found.motions, width)
+    left = filtered([f[0] for f in forces], found.motions, width)
+    applied = filtered([f[1] for f in forces], found.motions, width)
     size = np.sqrt(np.mean(applied**2, axis=0))
     if not size.any():
         size = _inertial_size(plant, found.motions)
@@ -316,7 +316,8 @@ def missing_of(
     return joined.reshape(len(joined), len(plants), -1).transpose(1, 0, 2)
 
 
-def _filtered(forces: Sequence[np.ndarray], motions: Sequence[Motion], width: float) -> np.ndarray:
+def filtered(forces: Sequence[np.ndarray], motions: Sequence[Motion], width: float) -> np.ndarray:
+    """Low-pass forces (n, nv) along some motions and join them; see :func:`solve_balance`."""
     return np.vstack([_low_pass(f, m, 3.0 * width) for f, m in zip(forces, motions, strict=True)])
 
 
@@ -349,7 +350,7 @@ def _joined(motions: Sequence[Motion]) -> Motion:
     )
 
 
-def _columns(
+def force_columns(
     parameters: Sequence[Parameter],
     theta: np.ndarray,
     base: np.ndarray,

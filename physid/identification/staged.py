@@ -97,16 +97,20 @@ def starting_point(problem: Problem, extra: Sequence[np.ndarray] = ()) -> Start:
     """
     if not problem.parameters:
         return Start(problem.start())
-    quick = _quick_start(problem, extra)
+    quick, polished = _quick_start(problem, extra)
     if quick is not None:
         return quick
     long = thinned(windowed(problem, LONG), ENOUGH)
     settled, judge = settled_squares(long), _Judge(long)
     found = [*_from_force_balance(problem), problem.start(), *extra]
-    costs = [judge.cost(theta) for theta in found]
+    if compiled(problem) or polished is None:
+        costs = [judge.cost(theta) for theta in found]
+    else:
+        # MuJoCo takes its time: what a few steps led to is better than where they began.
+        found, costs = [polished], [judge.cost(polished)]
     best = found[int(np.argmin(costs))] if np.isfinite(min(costs)) else problem.start()
     short = thinned(windowed(problem, SHORT), ENOUGH)
-    for start in _distinct([best, problem.start()]):
+    for start in _distinct([best, problem.start()] if compiled(problem) else [best]):
         try:
             found.append(minimise(short, start, iterations=12, tolerance=1e-3).theta)
         except DivergedError:
@@ -167,12 +171,21 @@ class _Judge:
 
 def settled_squares(problem: Problem) -> float:
     """Return the squares below which values on some windows are near enough to the minimum."""
-    compiled = all(w.simulator.compiled for w in problem.windows)
-    return (SETTLED if compiled else SETTLED_ON_ENGINE) * problem.measurements()
+    return (SETTLED if compiled(problem) else SETTLED_ON_ENGINE) * problem.measurements()
 
 
-def _quick_start(problem: Problem, extra: Sequence[np.ndarray]) -> Start | None:
-    """Return a start that a few steps from the force balance or the given values settle, if one does."""
+def compiled(problem: Problem) -> bool:
+    """Say whether the compiled back end simulates the problem, rather than MuJoCo."""
+    return all(w.simulator.compiled for w in problem.windows)
+
+
+def _quick_start(
+    problem: Problem, extra: Sequence[np.ndarray]
+) -> tuple[Start | None, np.ndarray | None]:
+    """Return a start that a few steps from the force balance or the given values settle, if one does.
+
+    Beside it, where those steps led (p,), if any were tried.
+    """
     long = _evenly(windowed(problem, LONG), ENOUGH // 4)
     settled, judge = settled_squares(long), _Judge(long)
     found: list[np.ndarray] = []
@@ -186,8 +199,9 @@ def _quick_start(problem: Problem, extra: Sequence[np.ndarray]) -> Start | None:
         near = judge.polished(found[int(np.argmin(costs))], settled)
         if near is not None and near.chi2 < settled:
             # The first window of every record starts where the record does.
-            return Start(near.theta, [x[:1] for x in near.states])
-    return None
+            return Start(near.theta, [x[:1] for x in near.states]), near.theta
+        return None, None if near is None else near.theta
+    return None, None
 
 
 def _evenly(problem: Problem, most: int) -> Problem:
@@ -232,10 +246,16 @@ def _frozen(problem: Problem, theta: np.ndarray) -> Problem:
 def fit_windows(
     problem: Problem, theta: np.ndarray | None = None, *, iterations: int = 20
 ) -> Estimate:
-    """Fit on the problem's windows, starting again with fresh damping while that still helps."""
-    estimate = minimise(problem, theta, iterations=iterations)
+    """Fit on the problem's windows, starting again with fresh damping while that still helps.
+
+    Where MuJoCo simulates, whose friction makes the last steps many and small, it ends earlier.
+    """
+    tolerance = 1e-4 if compiled(problem) else 1e-3
+    estimate = minimise(problem, theta, iterations=iterations, tolerance=tolerance)
     for _ in range(3):
-        again = minimise(problem, estimate.theta, estimate.states, iterations=iterations)
+        again = minimise(
+            problem, estimate.theta, estimate.states, iterations=iterations, tolerance=tolerance
+        )
         gain = estimate.chi2 - again.chi2
         estimate = again
         if gain < 0.02 * estimate.chi2:
