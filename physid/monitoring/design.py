@@ -16,21 +16,20 @@ import numpy as np
 from physid.errors import ModelError
 from physid.monitoring.estimate import expected, instrument
 from physid.monitoring.factors import (
+    UNSTABLE,
     Factors,
     Numerators,
-    Shape,
     check_zeros,
     factors,
     least_order,
 )
 from physid.monitoring.lft import Pulled
+from physid.monitoring.shape import Shape
 
 CUTOFFS = 13
 """Cutoffs that are tried, from a third of the slowest to thrice the fastest natural frequency."""
 ORDERS = 3
 """Orders of W that are tried, from the least."""
-UNSTABLE = 1e-6
-"""Real part of a pole, relative to the rig's own speed, from which it is unstable; free turning is not."""
 USELESS = 0.5
 """Predicted error, relative to the parameter, from which the record does not show it."""
 

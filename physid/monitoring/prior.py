@@ -18,8 +18,9 @@ from physid.identification.whitening import covariance_of
 from physid.monitoring.baseline import Base, Window, settled
 from physid.monitoring.design import Choice, choose, warnings
 from physid.monitoring.estimate import estimate, instrument
-from physid.monitoring.factors import Shape, factors, numerators
+from physid.monitoring.factors import factors, numerators
 from physid.monitoring.lft import Pulled
+from physid.monitoring.shape import Shape
 
 REPEATS = 8
 """Times the nominal model is moved to the estimate at most."""

@@ -7,9 +7,10 @@ import pytest
 
 from physid.monitoring.design import candidates, choose, predict, warnings
 from physid.monitoring.estimate import estimate, instrument, output_doubt
-from physid.monitoring.factors import Shape, factors, numerators
+from physid.monitoring.factors import factors, numerators
 from physid.monitoring.prior import best_output, identify
 from physid.monitoring.recursion import SlidingEstimate, WindowSums
+from physid.monitoring.shape import Shape
 from tests.monitoring.rigs import DT, STOREYS, building, oscillator, runs
 
 BELIEVED, TRUE = 0.18, 0.2

@@ -7,9 +7,10 @@ from hypothesis import strategies as st
 
 from physid.effects.catalogue import load_model
 from physid.errors import ModelError
-from physid.monitoring.factors import Shape, check_zeros, factors, least_order, numerators
+from physid.monitoring.factors import check_zeros, factors, least_order, numerators
 from physid.monitoring.filters import sampled
 from physid.monitoring.lft import pull_out
+from physid.monitoring.shape import Shape
 from physid.rigs import rig_path
 from tests.monitoring.rigs import DT, building, oscillator, runs
 
