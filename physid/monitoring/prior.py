@@ -38,6 +38,8 @@ REACH = 8.0
 """Standard errors about the linearised estimate that the range reaches at least."""
 FLOOR = 0.02
 """Least value, over the nominal one: a mass or a stiffness has a sign."""
+EDGE = 0.05
+"""Likelihood at an end of the range, over its maximum, from which the range cuts it off."""
 SEVERAL = 1.5
 """Spread of the likelihood over its width at the maximum, from which several values explain a record."""
 
@@ -177,6 +179,12 @@ def _span(initial: float, value: float, error: float) -> tuple[float, float]:
 
 
 def _remarks(name: str, seen: Likelihood) -> tuple[str, ...]:
+    low, high = float(seen.values[0]), float(seen.values[-1])
+    if max(seen.density[0], seen.density[-1]) > EDGE * seen.density.max():
+        return (
+            f"The record does not bound {name} between {low:.5g} and {high:.5g}: give a wider range, or take a "
+            "longer record, a better sensor or more input where it acts.",
+        )
     if seen.std > SEVERAL * seen.width:
         return (
             f"More than one value of {name} explains the record (the likeliest {seen.best:.5g}): the standard "
