@@ -20,7 +20,7 @@ import numpy as np
 from physid.errors import ConvergenceError, ModelError
 from physid.identification.whitening import covariance_of
 from physid.monitoring.baseline import Base, Window, settled
-from physid.monitoring.design import Choice, choose, warnings
+from physid.monitoring.design import Choice, choose, proposals, warnings
 from physid.monitoring.doubt import output_doubt
 from physid.monitoring.estimate import estimate, instrument
 from physid.monitoring.factors import numerators
@@ -136,6 +136,8 @@ def identify(
         at = replace(at, nominal=theta)
     initial, value = float(pulled.nominal[parameter]), float(at.nominal[parameter]) + step
     seen, notes = None, warnings(choice, value)
+    if choice.notes and choice.factors.shape.reference == "input":
+        notes = (*notes, *proposals(pulled, parameter, [found], dt * len(u)))
     if given is None:
         span = span or _span(initial, value, error)
         seen = likelihood(pulled, parameter, output, u, y, sigma, dt, span=span, near=value)

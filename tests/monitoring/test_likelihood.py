@@ -7,11 +7,12 @@ import pytest
 from scipy.stats import chi2
 
 from physid.effects.catalogue import load_model
-from physid.monitoring import Shape, identify, pull_out
+from physid.monitoring import Shape, identify, numerators, pull_out
+from physid.monitoring.design import proposals
 from physid.monitoring.estimate import simulate
 from physid.monitoring.likelihood import likelihood
 from physid.rigs import rig_path
-from tests.monitoring.rigs import DT, oscillator, runs
+from tests.monitoring.rigs import DT, building, oscillator, runs
 
 
 def shaft(stiffness=18.0):
@@ -79,3 +80,29 @@ def test_the_range_can_be_told():
     sigma = float(data.sigma[0, 0])
     one = identify(pulled, 0, 0, data.u[0], data.y[0, :, 0], sigma, DT, span=(0.7, 0.95))
     assert 0.7 <= one.value <= 0.95
+
+
+def test_slow_zeros_are_said_with_what_to_do():
+    pulled = building("storey3.stiffness")
+    data = runs(pulled, [2600.0], 1, samples=2000, dt=5e-4)
+    shape = Shape(cutoff=13.2, order=3)
+    sigma = float(data.sigma[0, 0])
+    one = identify(pulled, 0, 0, data.u[0], data.y[0, :, 0], sigma, 5e-4, shapes=[shape])
+    said = " ".join(one.notes)
+    assert "decays in 99" in said
+    assert "reference filter" in said
+    # The output error inverts nothing of it.
+    free = identify(pulled, 0, 0, data.u[0], data.y[0, :, 0], sigma, 5e-4)
+    assert free.choice.factors.shape.reference == "plant"
+    assert "is inverted" not in " ".join(free.notes)
+
+
+def test_unstable_zeros_propose_another_input():
+    pulled = pull_out(load_model(rig_path("seated_driver")), ["spine.stiffness"])
+    found = numerators(pulled, 0, 0)
+    assert proposals(pulled, 0, [found]) == []
+    # The first input's zeros, mirrored.
+    turned = found.n21[0] * (-1.0) ** np.arange(len(found.n21[0]))
+    said = proposals(pulled, 0, [replace(found, n21=(turned, found.n21[1]))])[0]
+    assert f"from {pulled.inputs[0]} (a zero at" in said
+    assert f"drive {pulled.inputs[1]}" in said
