@@ -33,9 +33,10 @@ from physid.monitoring.baseline import Window  # noqa: E402
 from physid.monitoring.changes import weigh  # noqa: E402
 from physid.monitoring.design import candidates, predict  # noqa: E402
 from physid.monitoring.estimate import estimate, instrument, simulate  # noqa: E402
-from physid.monitoring.factors import Shape, factors, numerators  # noqa: E402
+from physid.monitoring.factors import factors, numerators  # noqa: E402
 from physid.monitoring.lft import Pulled, pull_out  # noqa: E402
 from physid.monitoring.recursion import SlidingEstimate  # noqa: E402
+from physid.monitoring.shape import Shape  # noqa: E402
 from physid.monitoring.trial import Runs, stepped_run, white_runs  # noqa: E402
 from physid.rigs import rig_path  # noqa: E402
 

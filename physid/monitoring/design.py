@@ -16,21 +16,20 @@ import numpy as np
 from physid.errors import ModelError
 from physid.monitoring.estimate import expected, instrument
 from physid.monitoring.factors import (
+    UNSTABLE,
     Factors,
     Numerators,
-    Shape,
     check_zeros,
     factors,
     least_order,
 )
 from physid.monitoring.lft import Pulled
+from physid.monitoring.shape import Shape
 
 CUTOFFS = 13
 """Cutoffs that are tried, from a third of the slowest to thrice the fastest natural frequency."""
 ORDERS = 3
 """Orders of W that are tried, from the least."""
-UNSTABLE = 1e-6
-"""Real part of a pole, relative to the rig's own speed, from which it is unstable; free turning is not."""
 USELESS = 0.5
 """Predicted error, relative to the parameter, from which the record does not show it."""
 
@@ -197,26 +196,42 @@ def warnings(choice: Choice, value: float) -> tuple[str, ...]:
     )
 
 
-def proposals(pulled: Pulled, parameter: int, numerators_of: Sequence[Numerators]) -> list[str]:
-    """Say which inputs and outputs have stable zeros, where some have not.
+def proposals(
+    pulled: Pulled,
+    parameter: int,
+    numerators_of: Sequence[Numerators],
+    duration: float | None = None,
+) -> list[str]:
+    """Say from which inputs the parameter can be inverted, where from some it cannot, and what else can be done.
+
+    The zeros between an input and x are the same for every output.
 
     Parameters
     ----------
     pulled : Pulled
     parameter : int
     numerators_of : sequence of Numerators
-        One per output of `pulled`.
+        Of outputs of `pulled`; one is enough.
+    duration : float, optional
+        Of the record [s]: zeros that are slower than it count as well.
     """
     good, bad = [], []
-    for output, found in zip(pulled.outputs, numerators_of, strict=True):
-        for i, name in enumerate(pulled.inputs):
-            try:
-                check_zeros(found.zeros(found.n21[i]))
-            except ModelError:
-                bad.append(f"{name} to {output}")
-            else:
-                good.append(f"{name} to {output}")
+    for i, name in enumerate(pulled.inputs):
+        below = numerators_of[0].n21[i]
+        zeros = numerators_of[0].zeros(below[np.flatnonzero(below)[:1].sum() :])
+        try:
+            slow = check_zeros(zeros, duration)
+        except ModelError:
+            bad.append(f"from {name} (a zero at {zeros[np.argmax(zeros.real)]:.4g} rad/s)")
+        else:
+            if slow:
+                bad.append(f"from {name} (a zero that decays in {-1 / zeros.real.max():.3g} s)")
+            elif np.any(below):
+                good.append(name)
     if not bad:
         return []
-    rest = f"take {' or '.join(good)}" if good else "no pair is: take a filter of higher order"
-    return [f"For {pulled.names[parameter]}, {' and '.join(bad)} cannot be inverted; {rest}."]
+    rest = f"drive {' or '.join(good)}" if good else "no input is better"
+    return [
+        f"What {pulled.names[parameter]} acts on is inverted {' and '.join(bad)}: {rest}, or take the output "
+        "error (reference plant) or no inversion (reference filter, of a higher order)."
+    ]

@@ -177,34 +177,3 @@ def instrument(
     at = pulled.nominal if theta is None else theta
     y = simulate(pulled, at, u, factors.filter.dt)[:, :, output]
     return factors.signals(y, u)[1]
-
-
-def output_doubt(
-    pulled: Pulled,
-    theta: np.ndarray,
-    y: np.ndarray,
-    u: np.ndarray,
-    sigma: np.ndarray,
-    dt: float,
-) -> np.ndarray:
-    """Return how many standard deviations the power left of the outputs lies above the noise's.
-
-    A sharper test than that on z - delta x, whose noise W and D0 colour: it disowns an estimate where
-    another parameter changed.
-
-    Parameters
-    ----------
-    theta : ndarray (p,)
-        Where the rig is simulated, from rest.
-    y : ndarray (runs, n, ny)
-    u : ndarray (runs, n, nu)
-    sigma : ndarray (runs, ny)
-        The sensors' noise.
-
-    Returns
-    -------
-    ndarray (runs,)
-    """
-    residual = (y - simulate(pulled, theta, u, dt)) / sigma[:, None]
-    count = y.shape[1] * y.shape[2]
-    return np.asarray((np.sum(residual**2, axis=(1, 2)) - count) / np.sqrt(2.0 * count))

@@ -14,7 +14,7 @@ information, SICE Tohoku 209-3 (2003) (KU), (7)-(8) and (25)-(28).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -80,6 +80,12 @@ class Pulled:
         if name not in self.names:
             raise ModelError(f"'{name}' was not pulled out. Available: {', '.join(self.names)}.")
         return self.names.index(name)
+
+    def showing(self, output: int) -> Pulled:
+        """Return it with one of its sensors."""
+        return replace(
+            self, outputs=(self.outputs[output],), sensors=self.sensors[output : output + 1]
+        )
 
     def balance(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return nominal K, D, M (nv, nv) and G (nv, nu): K q + D qdot + M qddot + G u + L z = 0."""

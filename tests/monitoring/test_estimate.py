@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from physid.monitoring.design import candidates, choose, predict, warnings
-from physid.monitoring.estimate import estimate, instrument, output_doubt
-from physid.monitoring.factors import Shape, factors, numerators
+from physid.monitoring.doubt import output_doubt, spectral_doubt
+from physid.monitoring.estimate import estimate, instrument
+from physid.monitoring.factors import factors, numerators
 from physid.monitoring.prior import best_output, identify
 from physid.monitoring.recursion import SlidingEstimate, WindowSums
+from physid.monitoring.shape import Shape
 from tests.monitoring.rigs import DT, STOREYS, building, oscillator, runs
 
 BELIEVED, TRUE = 0.18, 0.2
@@ -79,23 +81,48 @@ def test_best_output_is_the_one_that_shows_it():
 def test_noise_free_building_is_exact():
     pulled = building("storey3.stiffness")
     pulled = replace(pulled, nominal=np.array([2340.0]))
-    data = runs(pulled, [2600.0], 1, dt=1e-4, ratio=0.0)
+    data = runs(pulled, [2600.0], 16, dt=1e-4, ratio=0.0)
     made = factors(numerators(pulled, 0, 0), Shape(cutoff=13.2, order=3), 1e-4)
-    delta = estimate(made, data.y[:, :, 0], data.u).delta[0]
-    assert 2340 + delta == pytest.approx(2600, rel=1e-4)
+    delta = estimate(made, data.y[:, :, 0], data.u).delta
+    # Joined by straight lines whole, the position costs up to 1.3e-4.
+    assert 2340 + delta == pytest.approx(np.full(16, 2600.0), rel=3e-5)
 
 
 def test_another_storey_disowns_a_lone_estimate():
     pulled = building(*STOREYS)
     data = runs(pulled, 2600 * np.array([1, 0.9, 1, 1]), 2, dt=1e-4)
-    left = output_doubt(
-        pulled, pulled.nominal - 330 * np.eye(4)[2], data.y, data.u, data.sigma, 1e-4
+    theta = np.tile(pulled.nominal, (2, 1))
+    wrong = output_doubt(
+        pulled, theta - 330 * np.eye(4)[2], data.y, data.u, data.sigma, 1e-4, fitted=(2,)
     )
-    assert left.min() > 5
-    right = output_doubt(
-        pulled, pulled.nominal - 260 * np.eye(4)[1], data.y, data.u, data.sigma, 1e-4
-    )
-    assert np.abs(right).max() < 4
+    assert wrong.min() > 10
+    # What a poor estimate of the right one leaves is not held against it.
+    for off in (0.0, 20.0):
+        right = output_doubt(
+            pulled,
+            theta - (260 + off) * np.eye(4)[1],
+            data.y,
+            data.u,
+            data.sigma,
+            1e-4,
+            fitted=(1,),
+        )
+        assert right.max() < 3.5
+    poor = output_doubt(pulled, theta - 280 * np.eye(4)[1], data.y, data.u, data.sigma, 1e-4)
+    assert poor.min() > right.max()
+
+
+def test_doubt_of_noise_is_as_rare_as_stated():
+    rng = np.random.default_rng(1)
+    doubt = spectral_doubt(rng.standard_normal((4000, 300, 2)))
+    assert doubt.min() >= 0
+    for level, chance in ((1.0, 0.159), (2.0, 0.0228)):
+        assert 0.3 * chance < np.mean(doubt > level) < 1.15 * chance
+    # A slow sine of a third of the noise: far below what the power of all samples shows.
+    slow = 0.33 * np.sin(np.linspace(0, 12, 3000))[None, :, None]
+    seen = spectral_doubt(slow + rng.standard_normal((20, 3000, 1)))
+    assert seen.min() > 5
+    assert np.isfinite(spectral_doubt(100 * np.ones((1, 3000, 1)))[0])
 
 
 def test_sliding_is_the_batch_in_any_chunks(pulled, data):

@@ -7,9 +7,10 @@ from hypothesis import strategies as st
 
 from physid.effects.catalogue import load_model
 from physid.errors import ModelError
-from physid.monitoring.factors import Shape, check_zeros, factors, least_order, numerators
+from physid.monitoring.factors import check_zeros, factors, least_order, numerators
 from physid.monitoring.filters import sampled
 from physid.monitoring.lft import pull_out
+from physid.monitoring.shape import Shape
 from physid.rigs import rig_path
 from tests.monitoring.rigs import DT, building, oscillator, runs
 
@@ -95,3 +96,48 @@ def test_unstable_zeros_and_low_orders_are_refused():
         check_zeros(np.array([-1.0, 2.0 + 1j]))
     with pytest.raises(ModelError, match=r"proper from order 2"):
         factors(numerators(oscillator("slide.damping"), 0, 0), Shape(cutoff=1.0, order=1), DT)
+
+
+def test_w_goes_to_python_control_and_comes_back():
+    control = pytest.importorskip("control")
+    found = numerators(oscillator("slide.damping", damping=0.18), 0, 0)
+    shape = Shape(cutoff=2.0, order=3)
+    back = Shape.from_control(shape.to_control())
+    assert (back.order, back.cutoff) == (3, pytest.approx(2.0, rel=1e-4))
+    omega = np.array([0.3, 1.0, 4.0])
+    responses = [factors(found, s, DT).filter.response(omega) for s in (shape, back)]
+    assert responses[0] == pytest.approx(responses[1], rel=1e-6)
+    # One of one's own: no drift and no frequency above 5 rad/s.
+    own = Shape.from_control(control.tf([1, 0], [1, 0.5]) * control.tf([25], [1, 7, 25]))
+    assert own.order == 2
+    data = runs(oscillator("slide.damping", damping=0.18), [0.2], 1, ratio=0.0)
+    z, x = factors(found, own, DT).signals(data.y[:, :, 0], data.u)
+    assert float(z[0] @ x[0] / (x[0] @ x[0])) == pytest.approx(0.02, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("top", "bottom", "step", "sentence"),
+    [
+        ([1], [1, -1], 0, r"not stable"),
+        ([1], [1, 1], 0.1, r"must be continuous"),
+        ([0], [1, 1], 0, r"is zero"),
+    ],
+)
+def test_a_w_that_cannot_be_taken_is_refused(top, bottom, step, sentence):
+    control = pytest.importorskip("control")
+    with pytest.raises(ModelError, match=sentence):
+        Shape.from_control(control.tf(top, bottom, step))
+    with pytest.raises(ModelError, match=r"one of each"):
+        Shape.from_control(control.ss([[-1]], [[1, 1]], [[1]], [[0, 0]]))
+
+
+def test_an_unstable_nominal_rig_needs_no_parallel_model(tmp_path):
+    text = rig_path("oscillator").read_text(encoding="utf-8")
+    path = tmp_path / "unstable.xml"
+    path.write_text(text.replace('damping="0.2"', 'damping="-0.2"'), encoding="utf-8")
+    pulled = pull_out(load_model(path), ["slide.stiffness"])
+    made = factors(numerators(pulled, 0, 0), Shape(cutoff=1.0, order=3), DT)
+    assert np.abs(np.linalg.eigvals(made.filter.a)).max() < 1.0
+    data = runs(pulled, [1.1], 1, ratio=0.0)
+    z, x = made.signals(data.y[:, :, 0], data.u)
+    assert float(z[0] @ x[0] / (x[0] @ x[0])) == pytest.approx(0.1, rel=1e-4)
