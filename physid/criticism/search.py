@@ -115,8 +115,8 @@ def search(
         near = limit if explaining else np.inf
         fits += _refitted(base, long, group, k, near)
     fits = _best_with_blocks(base, _with_siblings(base, fits, scales), scales)
-    alone = NOISE_ALONE if compiled(long) else NOISE_ALONE_ON_ENGINE
-    if later and fits and not _noise_like(base, fits[0], alone):
+    factor = NOISE_ALONE if compiled(long) else NOISE_ALONE_ON_ENGINE
+    if later and fits and not _noise_like(base, fits[0], factor):
         report("refitting what contains it", 0.65)
         fits += [f for k in later for f in _refitted(base, long, groups[k], k)]
         fits = _best_with_blocks(base, _better_of(fits, base), scales)

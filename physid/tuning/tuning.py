@@ -106,7 +106,7 @@ def tune_gain(
         The thesis's least squares, or the tuned loop itself against the desired one.
     safeguard : bool
         Draw an update back towards the last certified gain until it is certified too. Without, the
-        constraint alone decides, as in the thesis.
+        constraint alone decides, as in the thesis, which knows no noise.
     response : Response, optional
         What `measure` made of the experiment, where it is known.
 
@@ -192,7 +192,7 @@ def _next(
         response=judge.response,
         gain=gain,
         margins=judge.margins,
-        factor=judge.factor,
+        factor=judge.factor if safeguard else 0.0,
         grid=judge.coarse,
     )
     quadratic = cost if isinstance(cost, Quadratic) else cost.around(gain)
