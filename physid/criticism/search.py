@@ -63,9 +63,9 @@ NOISE_LIKE = 1.25
 RIVAL = 30.0
 """Mean squares over the noise's, after a first step, above which nothing rivals a candidate that leaves
 noise alone; at most half of what the model leaves."""
-NOISE_ALONE, NOISE_ALONE_ON_ENGINE = 1.03, 1.15
-"""A residual within this factor leaves nothing for an effect that contains the one that left it; the
-second where MuJoCo simulates, whose friction leaves more than noise at any step."""
+NOISE_ALONE = 1.03
+"""A residual within this factor leaves nothing for an effect that contains the one that left it; not
+asked for where MuJoCo simulates, whose friction leaves more than noise at any step."""
 WELL_NAMED = 0.95
 """... beyond which no pair is looked for."""
 
@@ -98,6 +98,8 @@ def search(
     if base.fits["long"].squares > NOISE_LIKE * long.measurements():
         with suppress(NumericsError):
             grounds.insert(0, (long, _undistorted(study, long)))
+    if not compiled(long):
+        del grounds[1:]
     groups = _screened(grounds, candidates, REFITS, TRIALS)
     scales = {g[0].place: g[0].scales for g in groups}
     limit = min(RIVAL * long.measurements(), 0.5 * base.fits["long"].squares)
@@ -115,7 +117,7 @@ def search(
         near = limit if explaining else np.inf
         fits += _refitted(base, long, group, k, near)
     fits = _best_with_blocks(base, _with_siblings(base, fits, scales), scales)
-    factor = NOISE_ALONE if compiled(long) else NOISE_ALONE_ON_ENGINE
+    factor = NOISE_ALONE if compiled(long) else NOISE_LIKE
     if later and fits and not _noise_like(base, fits[0], factor):
         report("refitting what contains it", 0.65)
         fits += [f for k in later for f in _refitted(base, long, groups[k], k)]
@@ -164,9 +166,9 @@ def base_of(study: Study) -> Base:
     problems = {h: windows_of(study, h, choosing_spans) for h in HORIZONS}
     long = fit_windows(problems["long"], study.theta)
     fits = {"short": fit_windows(problems["short"], long.theta), "long": long}
-    again = fit_windows(problems["long"], fits["short"].theta)
-    if again.chi2 < long.chi2:
-        fits["long"] = again
+    if compiled(problems["long"]):
+        again = fit_windows(problems["long"], fits["short"].theta)
+        fits["long"] = min(long, again, key=lambda e: e.chi2)
     try:
         block = fit_windows(problems["block"], fits["long"].theta)
         if float(np.max(nrmse(problems["block"], block))) < 1.0:
@@ -194,7 +196,7 @@ def _undistorted(study: Study, problem: Problem) -> Estimate:
 def _grounds(
     problems: Mapping[str, Problem], fits: Mapping[str, Estimate]
 ) -> list[tuple[Problem, Estimate]]:
-    """Return where a model is held to its candidates: every horizon, or the long one in MuJoCo alone."""
+    """Return where a model is held to its candidates: every horizon, or the long one in MuJoCo."""
     return [(problems[h], fits[h]) for h in fits if h == "long" or compiled(problems[h])]
 
 

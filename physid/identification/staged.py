@@ -268,9 +268,12 @@ def fit_whole(
     theta: np.ndarray,
     states: list[np.ndarray] | None = None,
     *,
-    tolerance: float = 1e-6,
+    tolerance: float | None = None,
 ) -> Estimate:
     """Fit on the whole records, from values found on windows, and from initial states if known.
+
+    The tolerance, if none is given, is that at which a step is small beside the standard errors, or
+    beside what MuJoCo's friction makes of the misfit's finest shape where MuJoCo simulates.
 
     Raises
     ------
@@ -278,6 +281,8 @@ def fit_whole(
         If the simulation diverges or no minimum is reached.
     """
     whole_problem = on_whole_records(problem)
+    if tolerance is None:
+        tolerance = 1e-6 if compiled(problem) else 1e-4
     estimate = minimise(whole_problem, theta, states, iterations=40, tolerance=tolerance, keep=True)
     if not np.isfinite(estimate.chi2):
         raise ConvergenceError("The fit did not reach a finite misfit; check the model's units.")
