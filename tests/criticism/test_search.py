@@ -1,10 +1,12 @@
 """The search's parts: rivals that come nowhere near, effects that contain others, pairs taken apart."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from physid.criticism import refit as refitting
 from physid.criticism import search
 from physid.criticism.refit import Start, _seen_from, alike, refit, with_block, without_partner
 from physid.effects.catalogue import CATALOGUE
@@ -84,3 +86,41 @@ def test_shapes_seen_from_the_best_are_new_ones(rubbing):
     for start in _seen_from(rubbing.base, rubbing.base.problems["long"], found, known):
         assert not any(alike(start.placed, k.placed) for k in known)
         assert not alike(start.placed, found.fitted[-1])
+
+
+def test_a_fit_worse_than_the_model_it_contains_leads_to_the_other_starts(rubbing, monkeypatch):
+    good, tried = refitted(rubbing), []
+    lost = replace(
+        good,
+        fits={
+            h: replace(f, residuals=[1e6 + r for r in f.residuals]) for h, f in good.fits.items()
+        },
+    )
+
+    def best_of(base, inner, starts, *rest):
+        tried.append(len(starts))
+        return lost if len(tried) == 1 else good
+
+    monkeypatch.setattr(refitting, "_best_of", best_of)
+    monkeypatch.setattr(refitting, "_promising", lambda base, inner, starts, *rest: starts[:1])
+    starts = 2 * starts_of(rubbing.scored)
+    long = rubbing.base.problems["long"]
+    assert refit(rubbing.base, long, starts, rubbing.scales[HINGE], rank=0) is good
+    assert len(tried) == 2
+
+
+def test_what_contains_an_explaining_effect_is_tried_where_more_than_noise_is_left(
+    rubbing, monkeypatch
+):
+    candidates = [(EFFECTS[n], HINGE) for n in ("coulomb_friction", "stribeck_friction")]
+
+    def stages():
+        told = []
+        search.search(
+            rubbing.study, rubbing.base, candidates, lambda stage, share: told.append(stage)
+        )
+        return told
+
+    assert "refitting what contains it" not in stages()
+    monkeypatch.setattr(search, "NOISE_ALONE", 0.0)
+    assert "refitting what contains it" in stages()
