@@ -60,9 +60,9 @@ LEAST_GAIN = 12.0
 """Smallest fall of the information criterion that is not chance."""
 NOISE_LIKE = 1.25
 """A residual within this factor of the noise's variance is explained."""
-RIVAL = 30.0
+RIVAL, RIVAL_ON_ENGINE = 30.0, 3.0
 """Mean squares over the noise's, after a first step, above which nothing rivals a candidate that leaves
-noise alone; at most half of what the model leaves."""
+noise alone; at most half of what the model leaves.  The second where MuJoCo takes its time."""
 NOISE_ALONE = 1.03
 """A residual within this factor leaves nothing for an effect that contains the one that left it; not
 asked for where MuJoCo simulates, whose friction leaves more than noise at any step."""
@@ -102,7 +102,8 @@ def search(
         del grounds[1:]
     groups = _screened(grounds, candidates, REFITS, TRIALS)
     scales = {g[0].place: g[0].scales for g in groups}
-    limit = min(RIVAL * long.measurements(), 0.5 * base.fits["long"].squares)
+    rival = RIVAL if compiled(long) else RIVAL_ON_ENGINE
+    limit = min(rival * long.measurements(), 0.5 * base.fits["long"].squares)
     fits: list[Refit] = []
     later: list[int] = []
     # Effects without a shape cost least, and may make it needless to follow the others.
