@@ -9,20 +9,13 @@ from typing import Literal
 import numpy as np
 
 from physid.criticism.evidence import Bench, Judgement, benches, judge
+from physid.criticism.merit import LEAST_GAIN, NOISE_LIKE, explained, score
 from physid.criticism.refit import (
     Base,
     Refit,
     judging_spans,
 )
-from physid.criticism.search import (
-    LEAST_GAIN,
-    NOISE_LIKE,
-    base_of,
-    explained,
-    score,
-    search,
-    windows_of,
-)
+from physid.criticism.search import base_of, search, windows_of
 from physid.identification.screening import possible_candidates
 from physid.identification.study import Study
 

@@ -9,7 +9,8 @@ from itertools import zip_longest
 
 import numpy as np
 
-from physid.criticism.evidence import colour, nrmse
+from physid.criticism.evidence import nrmse
+from physid.criticism.merit import LEAST_GAIN, NOISE_LIKE, explained, halves, noise_like, score
 from physid.criticism.refit import (
     HORIZONS,
     Base,
@@ -56,10 +57,6 @@ SHOWN = 6
 """Candidates fitted on whole stretches and reported."""
 FEW = 3
 """... where not even the best of them gains anything on windows."""
-LEAST_GAIN = 12.0
-"""Smallest fall of the information criterion that is not chance."""
-NOISE_LIKE = 1.25
-"""A residual within this factor of the noise's variance is explained."""
 RIVAL, RIVAL_ON_ENGINE = 30.0, 3.0
 """Mean squares over the noise's, after a first step, above which nothing rivals a candidate that leaves
 noise alone; at most half of what the model leaves.  The second where MuJoCo takes its time."""
@@ -111,7 +108,7 @@ def search(
     for done, k in enumerate(order):
         group = groups[k]
         report(f"refitting {group[0].effect.name}", 0.15 + 0.5 * done / len(groups))
-        explaining = [f for f in fits if _noise_like(base, f)]
+        explaining = [f for f in fits if noise_like(base, f)]
         if any(_contains(group[0], f) for f in explaining):
             later.append(k)
             continue
@@ -119,7 +116,7 @@ def search(
         fits += _refitted(base, long, group, k, near)
     fits = _best_with_blocks(base, _with_siblings(base, fits, scales), scales)
     factor = NOISE_ALONE if compiled(long) else NOISE_LIKE
-    if later and fits and not _noise_like(base, fits[0], factor):
+    if later and fits and not noise_like(base, fits[0], factor):
         report("refitting what contains it", 0.65)
         fits += [f for k in later for f in _refitted(base, long, groups[k], k)]
         fits = _best_with_blocks(base, _better_of(fits, base), scales)
@@ -277,43 +274,6 @@ def _best_with_blocks(
     return sorted(kept, key=lambda f: score(base, f, tuple(base.fits)))
 
 
-def score(base: Base, fit: Refit, horizons: Sequence[str]) -> float:
-    """Return the mean over horizons of n_eff log(squares after / before), plus extra log n_eff.
-
-    It is Bayes' information criterion (Schwarz, Ann. Stat. 6, 1978) with n over the residual's
-    correlation time for the number of samples.
-    """
-    total = 0.0
-    sizes: list[float] = []
-    for horizon in horizons:
-        size = effective_samples(base, fit, horizon)
-        sizes.append(size)
-        total += size * np.log(max(fit.ratio(base, horizon), 1e-12))
-    return float(total / len(horizons) + fit.extra * np.log(max(float(np.mean(sizes)), 2.0)))
-
-
-def effective_samples(base: Base, fit: Refit, horizon: str) -> float:
-    """Return the number of independent samples in a candidate's residual at a horizon."""
-    problem = base.problems[horizon]
-    return problem.measurements() / colour(problem, fit.fits[horizon])
-
-
-def _noise_like(base: Base, fit: Refit, factor: float = NOISE_LIKE) -> bool:
-    """Say whether a candidate leaves no more than noise, but for a factor, at every horizon."""
-    return all(fit.fits[h].squares <= factor * base.problems[h].measurements() for h in fit.fits)
-
-
-def explained(base: Base, fit: Refit) -> float:
-    """Return the share of the base's excess squares that a candidate removes, at its best long horizon."""
-    return max(_removed(base, fit, h) for h in fit.fits if h != "short")
-
-
-def _removed(base: Base, fit: Refit, horizon: str) -> float:
-    before, after = base.fits[horizon].squares, fit.fits[horizon].squares
-    floor = min(float(base.problems[horizon].measurements()), after)
-    return float((before - after) / max(before - floor, 1e-300)) if after < before else 0.0
-
-
 def _different(fits: Sequence[Refit]) -> list[Refit]:
     """Leave out singles that contain, or are contained in, a better one at the same place."""
     kept: list[Refit] = []
@@ -346,8 +306,8 @@ def _wanting_partners(base: Base, fits: Sequence[Refit]) -> list[Refit]:
         if f.added[0].place == best.added[0].place
         and f.added[0].effect.name in best.added[0].effect.supersedes
     ]
-    if explained(base, best) >= WELL_NAMED or _noise_like(base, best):
-        return [] if _noise_like(base, best) else simpler[:1]
+    if explained(base, best) >= WELL_NAMED or noise_like(base, best):
+        return [] if noise_like(base, best) else simpler[:1]
     return _different(fits)[:PARTNERS]
 
 
@@ -386,14 +346,9 @@ def _pairs(
             pair = with_block(base, pair)
             if any(frozenset(f.sites()) == frozenset(pair.sites()) for f in found):
                 continue
-            if any(_halves(base, single, pair, h) for h in base.fits):
+            if any(halves(base, single, pair, h) for h in base.fits):
                 found.append(_ordered(base, pair, fits))
     return found
-
-
-def _halves(base: Base, single: Refit, pair: Refit, horizon: str) -> bool:
-    floor = min(float(base.problems[horizon].measurements()), pair.fits[horizon].squares)
-    return pair.fits[horizon].squares - floor < 0.5 * (single.fits[horizon].squares - floor)
 
 
 def _ordered(base: Base, pair: Refit, singles: Sequence[Refit]) -> Refit:

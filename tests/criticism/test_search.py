@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from physid.criticism import merit, search
 from physid.criticism import refit as refitting
-from physid.criticism import search
 from physid.criticism.refit import Start, _seen_from, alike, refit, with_block, without_partner
 from physid.effects.catalogue import CATALOGUE
 from physid.identification.screening import scales_of, screen
@@ -49,7 +49,7 @@ def refitted(rubbing, **options):
 def test_a_start_that_comes_nowhere_near_is_not_followed(rubbing):
     found = refitted(rubbing)
     assert found is not None
-    assert search._noise_like(rubbing.base, found)
+    assert merit.noise_like(rubbing.base, found)
     assert refitted(rubbing, near=0.0) is None
     assert refitted(rubbing, near=np.inf) is not None
 

@@ -1,0 +1,58 @@
+"""What a candidate is worth: what it removes, what it leaves, and at the price of how many coefficients."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from physid.criticism.evidence import colour
+from physid.criticism.refit import Base, Refit
+
+LEAST_GAIN = 12.0
+"""Smallest fall of the information criterion that is not chance."""
+NOISE_LIKE = 1.25
+"""A residual within this factor of the noise's variance is explained."""
+
+
+def score(base: Base, fit: Refit, horizons: Sequence[str]) -> float:
+    """Return the mean over horizons of n_eff log(squares after / before), plus extra log n_eff.
+
+    It is Bayes' information criterion (Schwarz, Ann. Stat. 6, 1978) with n over the residual's
+    correlation time for the number of samples.
+    """
+    total = 0.0
+    sizes: list[float] = []
+    for horizon in horizons:
+        size = effective_samples(base, fit, horizon)
+        sizes.append(size)
+        total += size * np.log(max(fit.ratio(base, horizon), 1e-12))
+    return float(total / len(horizons) + fit.extra * np.log(max(float(np.mean(sizes)), 2.0)))
+
+
+def effective_samples(base: Base, fit: Refit, horizon: str) -> float:
+    """Return the number of independent samples in a candidate's residual at a horizon."""
+    problem = base.problems[horizon]
+    return problem.measurements() / colour(problem, fit.fits[horizon])
+
+
+def noise_like(base: Base, fit: Refit, factor: float = NOISE_LIKE) -> bool:
+    """Say whether a candidate leaves no more than noise, but for a factor, at every horizon."""
+    return all(fit.fits[h].squares <= factor * base.problems[h].measurements() for h in fit.fits)
+
+
+def explained(base: Base, fit: Refit) -> float:
+    """Return the share of the base's excess squares that a candidate removes, at its best long horizon."""
+    return max(_removed(base, fit, h) for h in fit.fits if h != "short")
+
+
+def _removed(base: Base, fit: Refit, horizon: str) -> float:
+    before, after = base.fits[horizon].squares, fit.fits[horizon].squares
+    floor = min(float(base.problems[horizon].measurements()), after)
+    return float((before - after) / max(before - floor, 1e-300)) if after < before else 0.0
+
+
+def halves(base: Base, single: Refit, pair: Refit, horizon: str) -> bool:
+    """Say whether a pair removes more than half of what a single leaves beyond noise, at a horizon."""
+    floor = min(float(base.problems[horizon].measurements()), pair.fits[horizon].squares)
+    return pair.fits[horizon].squares - floor < 0.5 * (single.fits[horizon].squares - floor)
