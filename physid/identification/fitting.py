@@ -22,12 +22,14 @@ from physid.identification.staged import (
     fit_windows,
     on_whole_records,
     settled_squares,
+    starting_point,
     states_only,
     windowed,
 )
 from physid.identification.study import Study
 from physid.identification.uncertainty import Uncertainty, uncertainty_of
 from physid.plant.model import Model
+from physid.plant.parameter import Parameter
 
 FAR_WORSE = 1.3
 """Mean squares on whole records, relative to those on windows, that tell of a wrong minimum."""
@@ -75,7 +77,7 @@ def estimated(study: Study, *, from_windows: bool = True) -> tuple[Problem, Esti
     if not problem.parameters:
         estimate = _frozen(problem)
     elif from_windows:
-        estimate = _from_windows(study)
+        estimate = _from_other_shapes(study, _from_windows(study))
     else:
         estimate = fit_whole(problem, study.theta)
     problem, error = refine_steps(
@@ -112,6 +114,26 @@ def _from_windows(study: Study) -> Estimate:
     except NumericsError:
         return estimate
     return min(estimate, other, key=lambda e: e.chi2)
+
+
+def _from_other_shapes(study: Study, estimate: Estimate) -> Estimate:
+    """Start an added effect in its other shapes too, one by one, while more than noise is left."""
+    settled = settled_squares(study.problem)
+    for theta in study.others:
+        if estimate.squares < settled:
+            break
+        with suppress(NumericsError):
+            near = starting_point(replace(study.problem, parameters=_from(study, theta)), [theta])
+            other = _from_windows(replace(study, theta=near.theta, states=near.states))
+            estimate = min(estimate, other, key=lambda e: e.chi2)
+    return estimate
+
+
+def _from(study: Study, theta: np.ndarray) -> tuple[Parameter, ...]:
+    """Return the study's parameters with other starting values (p,)."""
+    return tuple(
+        replace(p, value=float(t)) for p, t in zip(study.problem.parameters, theta, strict=True)
+    )
 
 
 def _frozen(problem: Problem, states: list[np.ndarray] | None = None) -> Estimate:

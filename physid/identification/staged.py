@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import chain
 from typing import NamedTuple
@@ -15,7 +16,14 @@ from physid.identification.force_balance import observable, solve_balance, width
 from physid.identification.linearisation import Reduced, reduce
 from physid.identification.output_error import minimise
 from physid.identification.problem import Problem, residuals_of
-from physid.identification.windows import Span, Windows, cut, typical_period, whole
+from physid.identification.windows import (
+    Span,
+    Windows,
+    cut,
+    initial_states,
+    typical_period,
+    whole,
+)
 
 SHORT, LONG = 0.3, 1.5
 """Window lengths in typical periods of the motion."""
@@ -31,6 +39,8 @@ The second holds where MuJoCo simulates, whose friction leaves more than noise a
 NEAR, FAR = 30.0, 3e3
 """A few steps are tried at once from a start below the first, times that, and from the best below the
 second."""
+OUTSTANDING = 5.0
+"""Times the usual mean squares of windows, or the noise's, from which a window starts anew."""
 POLISH = 5
 """Those steps, at most."""
 Progress = Callable[[str, float], None]
@@ -252,6 +262,7 @@ def fit_windows(
     """
     tolerance = 1e-4 if compiled(problem) else 1e-3
     estimate = minimise(problem, theta, iterations=iterations, tolerance=tolerance)
+    estimate = mended(problem, estimate)
     for _ in range(3):
         again = minimise(
             problem, estimate.theta, estimate.states, iterations=iterations, tolerance=tolerance
@@ -326,5 +337,38 @@ def states_only(problem: Problem, states: list[np.ndarray] | None = None) -> Est
         begun = [replace(w, samples=w.samples // share) for w in frozen.windows]
         if min(w.samples for w in begun) < LEAST_BEGINNING:
             continue
-        states = minimise(frozen.with_windows(begun), np.zeros(0), states, iterations=6).states
-    return minimise(frozen, np.zeros(0), states, iterations=12, tolerance=1e-5)
+        beginning = frozen.with_windows(begun)
+        states = mended(beginning, minimise(beginning, np.zeros(0), states, iterations=6)).states
+    return mended(frozen, minimise(frozen, np.zeros(0), states, iterations=12, tolerance=1e-5))
+
+
+def mended(problem: Problem, estimate: Estimate) -> Estimate:
+    """Return a fit whose windows that stand out start anew, from joints that move together.
+
+    Behind a gap or a friction a window's misfit has minima of its own, and a speed guessed from noise
+    may lead to a wrong one.  Parameters stay as they are; a window keeps what fits it better.
+    """
+    if not compiled(problem):
+        return estimate
+    model = problem.at(estimate.theta)
+    states = [x.copy() for x in estimate.states]
+    residuals = [r.copy() for r in estimate.residuals]
+    gained = 0.0
+    for e, windows in enumerate(problem.windows):
+        mean = np.mean(residuals[e] ** 2, axis=(1, 2))
+        usual = float(np.sort(mean)[len(mean) // 4]) if len(mean) > 1 else 1.0
+        odd = np.flatnonzero(mean > OUTSTANDING * max(usual, 1.0))
+        if not len(odd):
+            continue
+        few = replace(problem, model=model, parameters=(), windows=(windows.take(odd),))
+        guess = initial_states(model, few.windows[0], together=True)
+        with suppress(DivergedError):
+            other = minimise(few, np.zeros(0), [guess], iterations=12, tolerance=1e-5)
+            better = np.mean(other.residuals[0] ** 2, axis=(1, 2)) < mean[odd]
+            gained += float(np.sum(residuals[e][odd[better]] ** 2))
+            states[e][odd[better]] = other.states[0][better]
+            residuals[e][odd[better]] = other.residuals[0][better]
+            gained -= float(np.sum(residuals[e][odd[better]] ** 2))
+    if gained <= 0.0:
+        return estimate
+    return replace(estimate, states=states, residuals=residuals, chi2=estimate.chi2 - gained)

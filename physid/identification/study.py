@@ -40,6 +40,8 @@ from physid.plant.simulation import Hold, Simulator, make_simulator
 
 Progress = Callable[[str, float], None]
 HoldChoice = Literal["zero", "first", "smooth", "auto"]
+OTHER_SHAPES = 4
+"""Shapes of an added effect that are started from where the best one leads nowhere."""
 MOST_SHAPES = 1000
 """Shapes of an added effect that are looked through for one with the values given."""
 CLEARLY = 0.7
@@ -72,7 +74,8 @@ class Study:
     """A problem on whole records, near its minimum on windows, and what was decided on the way.
 
     ``theta`` are parameter values from :func:`starting_point` (the model's own where nothing is free),
-    ``states`` the records' initial states (1, nq + nv) where it found them.
+    ``states`` the records' initial states (1, nq + nv) where it found them; ``others`` other values (p,) to
+    start from, in the shapes of an added effect that looked next best, should these lead nowhere.
     """
 
     problem: Problem
@@ -81,6 +84,7 @@ class Study:
     integration_error: float
     options: Options
     states: list[np.ndarray] | None = None
+    others: tuple[np.ndarray, ...] = ()
 
     @property
     def model(self) -> Model:
@@ -131,7 +135,7 @@ def prepare(
     _check_rows(problem)
     options.report("finding a start", 0.1)
     problem, extra = _started(problem, set(free))
-    theta, states = starting_point(problem, extra)
+    theta, states = starting_point(problem, extra[:1])
     if options.hold in (None, "auto") and parameters:
         problem, theta, note = choose_hold(problem, theta)
         states = None if note else states
@@ -147,6 +151,7 @@ def prepare(
         integration_error=error,
         options=options,
         states=states,
+        others=tuple(extra[1:]),
     )
 
 
@@ -156,7 +161,8 @@ def _started(problem: Problem, free: set[str]) -> tuple[Problem, list[np.ndarray
     Returns
     -------
     (Problem, list of ndarray (p,))
-        The problem with those starting values, and where to start everything from.
+        The problem with those starting values, and where to start everything from: the best shape
+        first, then those of a single effect that come after it.
     """
     model = problem.model
     names = {
@@ -176,6 +182,7 @@ def _started(problem: Problem, free: set[str]) -> tuple[Problem, list[np.ndarray
     frozen = replace(ground_problem, model=bare.at(theta))
     ground = replace(states_only(frozen), theta=theta)
     found: dict[str, float] = {}
+    others: list[tuple[dict[str, float], np.ndarray]] = []
     for placed in blank:
         given = {c: v for c, v in placed.values.items() if names[id(placed)][c] not in free}
         scored = [
@@ -187,16 +194,31 @@ def _started(problem: Problem, free: set[str]) -> tuple[Problem, list[np.ndarray
                 if c.fixed and c.name in given
             )
         ]
-        if scored:
-            found |= {
-                names[id(placed)][c]: v for c, v in scored[0].start.values.items() if c not in given
-            }
-            theta = scored[0].theta if len(blank) == 1 else theta
+        shapes = [
+            {names[id(placed)][c]: v for c, v in s.start.values.items() if c not in given}
+            for s in scored
+        ]
+        if shapes:
+            found |= shapes[0]
+        if shapes and len(blank) == 1:
+            theta = scored[0].theta
+            fixed = [names[id(placed)][c.name] for c in placed.effect.coefficients if c.fixed]
+            others = [
+                (v, s.theta)
+                for v, s in zip(shapes[1:], scored[1:], strict=True)
+                if all(v.get(n) == shapes[0].get(n) for n in fixed)
+            ]
     model = model.with_values(found)
     parameters = tuple(_started_parameter(p, found) for p in problem.parameters)
-    start = {p.name: float(v) for p, v in zip(plain, theta, strict=True)}
-    everything = np.array([start.get(p.name, p.value) for p in parameters])
-    return replace(problem, model=model, parameters=parameters), [everything]
+    starts = []
+    for values, at in [(found, theta), *others[:OTHER_SHAPES]]:
+        start = {p.name: float(v) for p, v in zip(plain, at, strict=True)} | values
+        starts.append(
+            np.array(
+                [float(np.clip(start.get(p.name, p.value), p.lower, p.upper)) for p in parameters]
+            )
+        )
+    return replace(problem, model=model, parameters=parameters), starts
 
 
 def _started_parameter(parameter: Parameter, found: Mapping[str, float]) -> Parameter:

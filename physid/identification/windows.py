@@ -100,11 +100,17 @@ def typical_period(experiments: Sequence[Experiment]) -> float:
     return float(np.median([e.period for e in experiments]))
 
 
-def initial_states(model: Model, windows: Windows) -> np.ndarray:
+def initial_states(model: Model, windows: Windows, *, together: bool = False) -> np.ndarray:
     """Guess the state at the start of each window from the measurement.
 
     Positions and speeds come from local cubics through the measured channels.  What is not measured
     is put where the model's springs would rest, moving along.
+
+    Parameters
+    ----------
+    together : bool
+        Let what springs join move together, whatever its noisy speeds say, and everything rest where
+        there is none.  Across a gap an error of the speed may lead to the wrong side.
 
     Returns
     -------
@@ -124,7 +130,8 @@ def initial_states(model: Model, windows: Windows) -> np.ndarray:
     zeros = np.zeros((len(soft) + structure.nv, len(windows.starts)))
     system = np.vstack([kin.position, weight * soft, faint])
     position = np.linalg.lstsq(system, np.vstack([y.T, zeros]), rcond=None)[0]
-    system = np.vstack([kin.position, kin.speed, weight * soft, faint])
+    joined = (1.0 / weight if together else weight) * soft
+    system = np.vstack([kin.position, kin.speed, joined, faint])
     speed = np.linalg.lstsq(
         system,
         np.vstack([rate.T * moves(kin.position), y.T * moves(kin.speed), zeros]),
@@ -135,6 +142,8 @@ def initial_states(model: Model, windows: Windows) -> np.ndarray:
         if np.any(kin.position) or np.any(kin.speed):
             states[:, joint.qpos] = position[joint.dof]
             states[:, structure.nq + joint.dof] = speed[joint.dof]
+    if together and not len(soft):
+        states[:, structure.nq :] = 0.0
     return states
 
 
