@@ -1,0 +1,1 @@
+"""Identification by iterative learning control: parameters learned by flying, again and again."""

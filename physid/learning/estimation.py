@@ -1,0 +1,188 @@
+r"""Output error on all experiments so far, every one at the present estimate.
+
+.. math:: \min_\eta \sum_k \frac{m_k}{\sigma_k^2} \sum_t |\epsilon_k(t; \eta)|^2
+
+with the innovations epsilon of :func:`physid.learning.loop.predictor`, white for the true eta whatever
+the feedback.  Repetitions of one command are averaged first, m_k of them, which loses nothing: the rig is
+linear.  Each experiment's sigma is estimated from its own residual and the fit repeated (Ljung, System
+Identification, 2nd ed., 7.4).  Its sum of informations J'J / sigma^2, relinearised, is the information
+weighting of single experiments without their error of linearisation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from physid.errors import ConvergenceError
+from physid.identification.whitening import covariance_of, sensitivities
+from physid.learning.loop import Command, Flight, predictor
+from physid.learning.plant import ParametricPlant
+
+PASSES = 3
+"""Passes of fit and noise."""
+FINAL, ROUGH = 60, 10
+"""Most evaluations of a pass, and of one while learning."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evidence:
+    """Experiments, repetitions averaged.
+
+    Parameters
+    ----------
+    inputs : ndarray (g, n)
+    outputs : ndarray (g, n, ny)
+    counts : ndarray (g,)
+        Repetitions behind each.
+    dt : float
+        [s]
+    """
+
+    inputs: np.ndarray
+    outputs: np.ndarray
+    counts: np.ndarray
+    dt: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Estimate:
+    """Where a fit ended.
+
+    Parameters
+    ----------
+    eta, std_error : ndarray (p,)
+    covariance : ndarray (p, p)
+    sigma : ndarray (g, ny)
+        Noise of a single flight of each command.
+    """
+
+    eta: np.ndarray
+    std_error: np.ndarray
+    covariance: np.ndarray
+    sigma: np.ndarray
+
+
+def gather(commands: Sequence[Command], flights: Sequence[Flight]) -> Evidence:
+    """Average the repetitions of each command, wherever they stand."""
+    groups: dict[bytes, list[int]] = {}
+    for k, command in enumerate(commands):
+        groups.setdefault(command.key, []).append(k)
+    return Evidence(
+        inputs=np.array([np.mean([flights[k].inputs for k in g], axis=0) for g in groups.values()]),
+        outputs=np.array([np.mean([flights[k].outputs for k in g], axis=0) for g in groups.values()]),
+        counts=np.array([len(g) for g in groups.values()]),
+        dt=commands[0].dt,
+    )
+
+
+def innovations(
+    plant: ParametricPlant, eta: np.ndarray, evidence: Evidence, sigma: np.ndarray
+) -> np.ndarray:
+    """Return the innovations (g, n, ny) of every experiment; ``sigma`` (ny,) of the sensors."""
+    filtered = predictor(plant.filter(eta, evidence.dt), sigma)
+    return filtered.run(np.concatenate([evidence.inputs[:, :, None], evidence.outputs], axis=2))
+
+
+def informations(
+    plant: ParametricPlant, eta: np.ndarray, evidence: Evidence, sigma: np.ndarray
+) -> np.ndarray:
+    """Return J'J / sigma^2 (g, p, p) of a single flight of each command; ``sigma`` (g, ny)."""
+    typical = np.sqrt(np.mean(sigma**2, axis=0))
+    columns = _columns(plant, evidence, eta, typical, 1.0 / sigma[:, None])
+    each = columns.reshape(len(sigma), -1, len(eta))
+    return np.asarray(np.einsum("gmp,gmq->gpq", each, each))
+
+
+def estimate(
+    plant: ParametricPlant,
+    evidence: Evidence,
+    start: np.ndarray,
+    *,
+    rough: bool = False,
+) -> Estimate:
+    """Fit the parameters to all experiments.
+
+    Parameters
+    ----------
+    start : ndarray (p,)
+    rough : bool
+        One pass of a few steps, as is enough while learning.
+
+    Raises
+    ------
+    ConvergenceError
+        If the model is not finite at the start.
+    """
+    size = plant.scale(plant.start)
+    lower, upper = plant.bounds
+    eta = np.clip(start, lower + 1e-9 * size, upper - 1e-9 * size)  # the optimiser starts inside
+    counts = evidence.counts[:, None]
+    ratios = np.maximum(np.sqrt(np.mean(evidence.outputs**2, axis=(0, 1))), 1e-300)
+    sigma = _noise(innovations(plant, eta, evidence, ratios), counts, ratios)
+    for _ in range(1 if rough else PASSES):
+        typical = np.sqrt(np.mean(sigma**2, axis=0))
+        weights = np.sqrt(counts)[:, None] / sigma[:, None]
+        eta = _fit(plant, evidence, eta, typical, weights, rough)
+        sigma = _noise(innovations(plant, eta, evidence, typical), counts, ratios)
+    weights = np.sqrt(counts)[:, None] / sigma[:, None]
+    covariance = covariance_of(_columns(plant, evidence, eta, typical, weights))
+    std_error = np.sqrt(np.diag(covariance))
+    return Estimate(eta=eta, std_error=std_error, covariance=covariance, sigma=sigma)
+
+
+def _columns(
+    plant: ParametricPlant, evidence: Evidence, eta: np.ndarray, sigma: np.ndarray, weights: np.ndarray
+) -> np.ndarray:
+    """Return the weighted innovations' sensitivities (g n ny, p)."""
+
+    def weighted(point: np.ndarray) -> np.ndarray:
+        found = innovations(plant, point, evidence, sigma) * weights
+        return np.asarray(found.reshape(-1, 1))
+
+    return sensitivities(weighted, eta)[:, 0]
+
+
+def _fit(
+    plant: ParametricPlant,
+    evidence: Evidence,
+    eta: np.ndarray,
+    sigma: np.ndarray,
+    weights: np.ndarray,
+    rough: bool,
+) -> np.ndarray:
+    scale = plant.scale(plant.start)
+
+    def residual(z: np.ndarray) -> np.ndarray:
+        return np.asarray((innovations(plant, z * scale, evidence, sigma) * weights).ravel())
+
+    def jacobian(z: np.ndarray) -> np.ndarray:
+        return _columns(plant, evidence, z * scale, sigma, weights) * scale
+
+    lower, upper = plant.bounds
+    try:
+        found = least_squares(
+            residual,
+            eta / scale,
+            jacobian,
+            bounds=(lower / scale, upper / scale),
+            x_scale="jac",
+            max_nfev=ROUGH if rough else FINAL,
+            ftol=1e-5 if rough else 1e-9,
+            gtol=None,
+        )
+    except (ValueError, np.linalg.LinAlgError) as error:
+        raise ConvergenceError(
+            f"The model {plant.name} is not finite at the present estimate ({error}); give bounds, or a "
+            "start nearer to the rig."
+        ) from None
+    return np.asarray(found.x * scale)
+
+
+def _noise(residual: np.ndarray, counts: np.ndarray, ratios: np.ndarray) -> np.ndarray:
+    """Return the noise (g, ny) of single flights from averaged innovations."""
+    found = np.sqrt(np.mean(residual**2, axis=1) * counts)
+    return np.asarray(np.maximum(found, 1e-9 * ratios))
