@@ -14,45 +14,15 @@ import numpy as np
 from physid.errors import InputError
 from physid.learning.estimation import Evidence, informations
 from physid.learning.loop import Command, closed_loop, flown
-from physid.learning.reference import Reference, held
-from physid.learning.rules import Setup, largest_error
+from physid.learning.commands import largest_error
+from physid.learning.reference import Reference
+from physid.learning.sensors import Sensors
+from physid.learning.setup import Setup
 
 ALIKE = 1e-6
 """Smallest singular value of the sensitivities, each of length one, of parameters told apart."""
 STRONG = 0.2
 """Share in a combination that is not seen, relative to the largest, that is named."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Sensors:
-    """What is known of the noise before flying.
-
-    Parameters
-    ----------
-    sigma : tuple of float, optional
-        Standard deviation of each output [its unit].
-    ratio : float, optional
-        ... or relative to the rms of the output without noise, FU (46).
-
-    Raises
-    ------
-    InputError
-        Unless one of the two is given.
-    """
-
-    sigma: tuple[float, ...] | None = None
-    ratio: float | None = None
-
-    def __post_init__(self) -> None:
-        if (self.sigma is None) == (self.ratio is None):
-            raise InputError("Give the sensors' noise either as sigma or as a ratio.")
-
-    def of(self, outputs: np.ndarray) -> np.ndarray:
-        """Return the standard deviations (ny,) for outputs (n, ny) without noise."""
-        if self.sigma is not None:
-            return np.array(self.sigma, dtype=float)
-        assert self.ratio is not None
-        return np.asarray(self.ratio * np.sqrt(np.mean(outputs**2, axis=0)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,7 +87,13 @@ def _information(
 ) -> np.ndarray:
     loop = closed_loop(setup.plant.filter(eta, setup.dt), setup.controller)
     inputs, outputs = flown(loop, command, np.zeros((1, *command.reference.shape)))
-    evidence = Evidence(inputs=inputs, outputs=outputs, counts=np.ones(1), dt=setup.dt)
+    evidence = Evidence(
+        inputs=inputs,
+        outputs=outputs,
+        counts=np.ones(1),
+        dt=setup.dt,
+        feedback=setup.controller is not None,
+    )
     return informations(setup.plant, eta, evidence, sensors.of(outputs[0])[None])[0]
 
 
@@ -299,15 +275,3 @@ def _varied(reference: Reference, rng: np.random.Generator) -> Reference:
         phases=tuple(map(float, phases)),
     )
 
-
-__all__ = [
-    "Expectation",
-    "Proposal",
-    "Sensors",
-    "check_distinct",
-    "expect",
-    "held",
-    "identifiable",
-    "indistinct",
-    "propose",
-]

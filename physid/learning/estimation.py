@@ -12,7 +12,7 @@ weighting of single experiments without their error of linearisation.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -28,6 +28,10 @@ FINAL, ROUGH = 60, 10
 """Most evaluations of a pass, and of one while learning."""
 
 
+PARTS = (0.1, 0.2, 0.4)
+"""Shares of the experiments over which a fit comes nearer."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence:
     """Experiments, repetitions averaged.
@@ -40,12 +44,20 @@ class Evidence:
         Repetitions behind each.
     dt : float
         [s]
+    feedback : bool
+        Whether they were flown under a controller: an unstable model is then a rig that one holds, and
+        mirrored; without one it is wrong, and its simulation shows it.
     """
 
     inputs: np.ndarray
     outputs: np.ndarray
     counts: np.ndarray
     dt: float
+    feedback: bool = False
+
+    def beginning(self, samples: int) -> Evidence:
+        """Return the first samples of every experiment."""
+        return replace(self, inputs=self.inputs[:, :samples], outputs=self.outputs[:, :samples])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,7 +78,9 @@ class Estimate:
     sigma: np.ndarray
 
 
-def gather(commands: Sequence[Command], flights: Sequence[Flight]) -> Evidence:
+def gather(
+    commands: Sequence[Command], flights: Sequence[Flight], *, feedback: bool = False
+) -> Evidence:
     """Average the repetitions of each command, wherever they stand."""
     groups: dict[bytes, list[int]] = {}
     for k, command in enumerate(commands):
@@ -76,6 +90,7 @@ def gather(commands: Sequence[Command], flights: Sequence[Flight]) -> Evidence:
         outputs=np.array([np.mean([flights[k].outputs for k in g], axis=0) for g in groups.values()]),
         counts=np.array([len(g) for g in groups.values()]),
         dt=commands[0].dt,
+        feedback=feedback,
     )
 
 
@@ -83,7 +98,10 @@ def innovations(
     plant: ParametricPlant, eta: np.ndarray, evidence: Evidence, sigma: np.ndarray
 ) -> np.ndarray:
     """Return the innovations (g, n, ny) of every experiment; ``sigma`` (ny,) of the sensors."""
-    filtered = predictor(plant.filter(eta, evidence.dt), sigma)
+    own = plant.filter(eta, evidence.dt)
+    if not evidence.feedback:
+        return np.asarray(evidence.outputs - own.run(evidence.inputs[:, :, None]))
+    filtered = predictor(own, sigma)
     return filtered.run(np.concatenate([evidence.inputs[:, :, None], evidence.outputs], axis=2))
 
 
@@ -132,6 +150,42 @@ def estimate(
     covariance = covariance_of(_columns(plant, evidence, eta, typical, weights))
     std_error = np.sqrt(np.diag(covariance))
     return Estimate(eta=eta, std_error=std_error, covariance=covariance, sigma=sigma)
+
+
+def first_estimate(plant: ParametricPlant, evidence: Evidence, start: np.ndarray) -> np.ndarray:
+    """Return an estimate (p,) from far: the better one of a fit at once and one by parts.
+
+    Every experiment starts at rest, so its first part is an experiment too, over which a wrong model has
+    not yet drifted away by a period of its slow motion; but it may tell too little.
+    """
+    ends, eta = [], start
+    for path in ((), PARTS):
+        eta = start
+        try:
+            for part in path:
+                samples = int(part * evidence.inputs.shape[1])
+                eta = estimate(plant, evidence.beginning(samples), eta, rough=True).eta
+            ends.append(estimate(plant, evidence, eta).eta)
+        except ConvergenceError:
+            continue
+    if not ends:
+        raise ConvergenceError(
+            f"The model {plant.name} is not finite at its start; give bounds, or a start nearer to the rig."
+        )
+    ratios = np.sqrt(np.mean(evidence.outputs**2, axis=(0, 1)))
+    misfits = [innovations(plant, end, evidence, ratios) for end in ends]
+    return ends[int(np.argmin([np.sum(np.log(np.mean(m**2, axis=1))) for m in misfits]))]
+
+
+def sensitivity(
+    plant: ParametricPlant, eta: np.ndarray, inputs: np.ndarray, dt: float
+) -> np.ndarray:
+    """Return d(outputs)/d(eta) without feedback, (g, n, ny, p), for inputs (g, n)."""
+    shape = (*inputs.shape, len(plant.outputs))
+    still = Evidence(inputs=inputs, outputs=np.zeros(shape), counts=np.ones(len(inputs)), dt=dt)
+    ones = np.ones(shape[-1])
+    found = _columns(plant, still, eta, ones, np.ones((1, 1, 1)))
+    return np.asarray(-found.reshape(*shape, len(eta)))
 
 
 def _columns(

@@ -12,7 +12,8 @@ from physid.learning.design import check_distinct
 from physid.learning.estimation import Estimate
 from physid.learning.loop import Command, Flight
 from physid.learning.reference import check_sampling
-from physid.learning.rules import InformationWeighted, Rule, Setup
+from physid.learning.rules import InformationWeighted, Rule
+from physid.learning.setup import Setup
 
 Experiment = Callable[[Command], Flight]
 """Flies a command once: a rig, an environment, or a simulation."""

@@ -18,74 +18,15 @@ import numpy as np
 
 from physid.errors import ConvergenceError, InputError
 from physid.identification.whitening import covariance_of
-from physid.learning.estimation import Estimate, estimate, gather, informations
-from physid.learning.loop import Command, Flight, closed_loop, flown
-from physid.learning.plant import ParametricPlant
-from physid.learning.reference import Reference, held
-from physid.monitoring.filters import Filter
+from physid.learning.commands import designed, most_telling
+from physid.learning.estimation import Estimate, estimate, first_estimate
+from physid.learning.loop import Command, Flight
+from physid.learning.sensors import Sensors
+from physid.learning.setup import Setup
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Setup:
-    """What stays the same while a rig is learned.
-
-    Parameters
-    ----------
-    plant : ParametricPlant
-    reference : Reference
-        r_s.
-    samples : int
-        Of an experiment.
-    dt : float
-        [s]
-    controller : Filter, optional
-        From r - y to its part of the input, where the rig flies under feedback.
-    """
-
-    plant: ParametricPlant
-    reference: Reference
-    samples: int
-    dt: float
-    controller: Filter | None = None
-
-    def derivatives(self) -> np.ndarray:
-        """Return r_s and its derivatives, (n, order + 1)."""
-        return self.reference.derivatives(self.samples, self.dt, self.plant.order)
-
-    def command(self, eta: np.ndarray, limits: np.ndarray) -> Command:
-        """Return u_f = D(p) r_s and r = N(p) r_s at an estimate, FU (8)-(9)."""
-        found, signals = self.plant.transfer(eta), self.derivatives()
-        return Command(
-            feedforward=held(signals @ found.denominator),
-            reference=signals @ found.numerators.T,
-            limits=limits,
-            dt=self.dt,
-        )
-
-    def error_columns(self, eta: np.ndarray, response: np.ndarray | None = None) -> np.ndarray:
-        """Return Lambda Psi (n, ny, p), FU (26) and (29).
-
-        Parameters
-        ----------
-        eta : ndarray (p,)
-        response : ndarray (p,), optional
-            Whose G_Y and G_S are taken; by default those of the model at eta.
-        """
-        found, signals = self.plant.transfer(eta), self.derivatives()
-        ny = len(self.plant.outputs)
-        point = eta if response is None else response
-        loop = closed_loop(self.plant.filter(point, self.dt), self.controller)
-        columns = []
-        for a, b in zip(found.denominator_slopes, found.numerator_slopes, strict=True):
-            command = Command(
-                feedforward=held(signals @ a),
-                reference=signals @ b.T,
-                limits=np.full(ny, np.inf),
-                dt=self.dt,
-            )
-            outputs = flown(loop, command, np.zeros((1, self.samples, ny)))[1][0]
-            columns.append(outputs - command.reference)
-        return np.stack(columns, axis=2)
+AGAIN = 4
+"""A command is designed again after so many times the experiments of the learning."""
 
 
 class Rule(ABC):
@@ -210,18 +151,21 @@ class Published(Rule):
 class InformationWeighted(Rule):
     """All experiments, each relinearised at the present estimate and weighed by its information.
 
-    After a while the command that tells most, of those flown, is repeated and its repetitions averaged:
-    the one whose information, as measured with its own noise and added to what is there, leaves the
-    smallest largest relative standard error after the last experiment.  It need not be the last: an early
-    one, flown with wrong parameters, may tell more of those that are hard to see.
+    After a while one command is repeated and its repetitions averaged: with ``sensors`` known, and no
+    feedback, the polynomial of the same reference that tells most
+    (:func:`physid.learning.commands.designed`), designed again after four times as many experiments;
+    otherwise the one of those flown that does.
 
     Parameters
     ----------
     learning : int
         Experiments before the repetitions.
+    sensors : Sensors, optional
+        What is known of the noise.
     """
 
     learning: int = 6
+    sensors: Sensors | None = None
 
     def __post_init__(self) -> None:
         if self.learning < 1:
@@ -232,10 +176,13 @@ class InformationWeighted(Rule):
     def follow(
         self, setup: Setup, eta: np.ndarray, commands: Sequence[Command], flights: Sequence[Flight]
     ) -> np.ndarray:
-        """Fit all experiments so far, from the present estimate; the last ones are left to the end."""
-        if len(flights) > self.learning:
+        """Fit all experiments so far, from the present estimate, while the command follows from it."""
+        evidence = setup.gather(commands, flights)
+        if len(flights) == 1:
+            return first_estimate(setup.plant, evidence, eta)
+        if len(flights) > self.learning and not self._designs(setup, len(flights)):
             return eta
-        return estimate(setup.plant, gather(commands, flights), eta, rough=True).eta
+        return estimate(setup.plant, evidence, eta, rough=True).eta
 
     def next_command(
         self,
@@ -245,29 +192,23 @@ class InformationWeighted(Rule):
         flights: Sequence[Flight],
         left: int,
     ) -> Command | None:
-        """Repeat, after the learning, the command that tells most."""
+        """Repeat, after the learning, what tells most."""
         if len(flights) < self.learning:
             return None
+        if self._designs(setup, len(flights)):
+            assert self.sensors is not None
+            return designed(setup, eta, commands, flights, left, self.sensors)
         if len(flights) > self.learning:
             return commands[-1]
-        evidence = gather(commands, flights)
-        found = estimate(setup.plant, evidence, eta, rough=True)
-        each = informations(setup.plant, found.eta, evidence, found.sigma)
-        so_far = np.einsum("g,gpq->pq", evidence.counts, each)
-        scale = setup.plant.scale(found.eta)
-        worst = [largest_error(so_far + left * one, scale) for one in each]
-        keys = list(dict.fromkeys(command.key for command in commands))
-        best = keys[int(np.argmin(worst))]
-        return next(command for command in commands if command.key == best)
+        return most_telling(setup, eta, commands, flights, left)
 
     def settle(
         self, setup: Setup, eta: np.ndarray, commands: Sequence[Command], flights: Sequence[Flight]
     ) -> Estimate:
         """Refine by output error on all experiments, repetitions averaged."""
-        return estimate(setup.plant, gather(commands, flights), eta)
+        return estimate(setup.plant, setup.gather(commands, flights), eta)
 
-
-def largest_error(information: np.ndarray, scale: np.ndarray) -> float:
-    """Return the largest standard error, relative to each parameter's scale (p,)."""
-    covariance = np.linalg.pinv(information * np.outer(scale, scale), hermitian=True)
-    return float(np.sqrt(np.max(np.diag(covariance))))
+    def _designs(self, setup: Setup, done: int) -> bool:
+        if self.sensors is None or setup.controller is not None:
+            return False
+        return done in (self.learning, AGAIN * self.learning)
