@@ -92,7 +92,7 @@ def _information(
         outputs=outputs,
         counts=np.ones(1),
         dt=setup.dt,
-        feedback=setup.controller is not None,
+        mirrored=setup.controller is not None,
     )
     return informations(setup.plant, eta, evidence, sensors.of(outputs[0])[None])[0]
 
@@ -132,7 +132,7 @@ def indistinct(setup: Setup, eta: np.ndarray) -> tuple[str, ...]:
     _, values, right = np.linalg.svd(flat / size, full_matrices=False)
     if values[-1] > ALIKE * values[0]:
         return ()
-    share = np.abs(right[-1])
+    share = np.abs(right[-1] / size)  # relative changes of the parameters
     return tuple(
         name for name, s in zip(setup.plant.names, share, strict=True) if s > STRONG * share.max()
     )

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from physid.errors import ConvergenceError
-from physid.identification.whitening import covariance_of, sensitivities
+from physid.identification.whitening import covariance_of, noise_of, sensitivities
 from physid.learning.loop import Command, Flight, predictor
 from physid.learning.plant import ParametricPlant
 
@@ -30,6 +30,11 @@ FINAL, ROUGH = 60, 10
 
 PARTS = (0.1, 0.2, 0.4)
 """Shares of the experiments over which a fit comes nearer."""
+
+REACH = 1.0
+"""Pull towards the present estimate while learning, as a standard deviation relative to it."""
+COLOURED = 0.2
+"""Correlation of neighbouring residuals from which a first fit has missed, and is tried by parts."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,16 +49,16 @@ class Evidence:
         Repetitions behind each.
     dt : float
         [s]
-    feedback : bool
-        Whether they were flown under a controller: an unstable model is then a rig that one holds, and
-        mirrored; without one it is wrong, and its simulation shows it.
+    mirrored : bool
+        Whether unstable modes are mirrored, as they must be where a controller holds them and the rig is
+        disturbed, or the model still wrong, so that y - P u grows without bound.
     """
 
     inputs: np.ndarray
     outputs: np.ndarray
     counts: np.ndarray
     dt: float
-    feedback: bool = False
+    mirrored: bool = False
 
     def beginning(self, samples: int) -> Evidence:
         """Return the first samples of every experiment."""
@@ -79,7 +84,7 @@ class Estimate:
 
 
 def gather(
-    commands: Sequence[Command], flights: Sequence[Flight], *, feedback: bool = False
+    commands: Sequence[Command], flights: Sequence[Flight], *, mirrored: bool = False
 ) -> Evidence:
     """Average the repetitions of each command, wherever they stand."""
     groups: dict[bytes, list[int]] = {}
@@ -90,7 +95,7 @@ def gather(
         outputs=np.array([np.mean([flights[k].outputs for k in g], axis=0) for g in groups.values()]),
         counts=np.array([len(g) for g in groups.values()]),
         dt=commands[0].dt,
-        feedback=feedback,
+        mirrored=mirrored,
     )
 
 
@@ -99,7 +104,7 @@ def innovations(
 ) -> np.ndarray:
     """Return the innovations (g, n, ny) of every experiment; ``sigma`` (ny,) of the sensors."""
     own = plant.filter(eta, evidence.dt)
-    if not evidence.feedback:
+    if not evidence.mirrored:
         return np.asarray(evidence.outputs - own.run(evidence.inputs[:, :, None]))
     filtered = predictor(own, sigma)
     return filtered.run(np.concatenate([evidence.inputs[:, :, None], evidence.outputs], axis=2))
@@ -121,6 +126,7 @@ def estimate(
     start: np.ndarray,
     *,
     rough: bool = False,
+    reach: float = np.inf,
 ) -> Estimate:
     """Fit the parameters to all experiments.
 
@@ -129,6 +135,9 @@ def estimate(
     start : ndarray (p,)
     rough : bool
         One pass of a few steps, as is enough while learning.
+    reach : float
+        Standard deviation, relative to the start's values, of a pull towards the start: what the
+        experiments do not tell yet then stays where it is instead of leaving all bounds.
 
     Raises
     ------
@@ -144,7 +153,7 @@ def estimate(
     for _ in range(1 if rough else PASSES):
         typical = np.sqrt(np.mean(sigma**2, axis=0))
         weights = np.sqrt(counts)[:, None] / sigma[:, None]
-        eta = _fit(plant, evidence, eta, typical, weights, rough)
+        eta = _fit(plant, evidence, eta, typical, weights, rough, reach * plant.scale(start))
         sigma = _noise(innovations(plant, eta, evidence, typical), counts, ratios)
     weights = np.sqrt(counts)[:, None] / sigma[:, None]
     covariance = covariance_of(_columns(plant, evidence, eta, typical, weights))
@@ -158,23 +167,27 @@ def first_estimate(plant: ParametricPlant, evidence: Evidence, start: np.ndarray
     Every experiment starts at rest, so its first part is an experiment too, over which a wrong model has
     not yet drifted away by a period of its slow motion; but it may tell too little.
     """
-    ends, eta = [], start
+    ratios = np.sqrt(np.mean(evidence.outputs**2, axis=(0, 1)))
+    best, least = start, np.inf
     for path in ((), PARTS):
         eta = start
         try:
             for part in path:
                 samples = int(part * evidence.inputs.shape[1])
-                eta = estimate(plant, evidence.beginning(samples), eta, rough=True).eta
-            ends.append(estimate(plant, evidence, eta).eta)
+                eta = estimate(plant, evidence.beginning(samples), eta, rough=True, reach=REACH).eta
+            eta = estimate(plant, evidence, eta, reach=REACH).eta
         except ConvergenceError:
             continue
-    if not ends:
+        misfit = innovations(plant, eta, evidence, ratios)
+        size = float(np.sum(np.log(np.mean(misfit**2, axis=1))))
+        best, least = (eta, size) if size < least else (best, least)
+        if np.abs(noise_of(misfit[0]).rho).max() < COLOURED:
+            break
+    if not np.isfinite(least):
         raise ConvergenceError(
             f"The model {plant.name} is not finite at its start; give bounds, or a start nearer to the rig."
         )
-    ratios = np.sqrt(np.mean(evidence.outputs**2, axis=(0, 1)))
-    misfits = [innovations(plant, end, evidence, ratios) for end in ends]
-    return ends[int(np.argmin([np.sum(np.log(np.mean(m**2, axis=1))) for m in misfits]))]
+    return best
 
 
 def sensitivity(
@@ -207,14 +220,17 @@ def _fit(
     sigma: np.ndarray,
     weights: np.ndarray,
     rough: bool,
+    spread: np.ndarray,
 ) -> np.ndarray:
-    scale = plant.scale(plant.start)
+    scale, centre = plant.scale(plant.start), eta
+    pull = np.diag(scale / spread)
 
     def residual(z: np.ndarray) -> np.ndarray:
-        return np.asarray((innovations(plant, z * scale, evidence, sigma) * weights).ravel())
+        own = (innovations(plant, z * scale, evidence, sigma) * weights).ravel()
+        return np.concatenate([own, pull @ (z - centre / scale)])
 
     def jacobian(z: np.ndarray) -> np.ndarray:
-        return _columns(plant, evidence, z * scale, sigma, weights) * scale
+        return np.vstack([_columns(plant, evidence, z * scale, sigma, weights) * scale, pull])
 
     lower, upper = plant.bounds
     try:

@@ -73,6 +73,11 @@ class Flight:
     stopped: str = ""
 
 
+def left_limits(output: str, limit: float, time: float) -> str:
+    """Say which output left its limit, and when [s]."""
+    return f"{output} went beyond its limit of {limit:.3g} after {time:.3g} s"
+
+
 def closed_loop(plant: Filter, controller: Filter | None) -> Filter:
     """Return the loop from (u_f, r, v) to (measured y, u), 1 + 2 ny inputs and ny + 1 outputs.
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -153,12 +154,12 @@ class ParametricPlant:
 
     def _monomials(self, eta: np.ndarray) -> np.ndarray:
         z = (np.asarray(eta, dtype=float) - self.start) / self.steps
-        i, j = np.triu_indices(len(z))
+        i, j = _pairs(len(z))
         return np.concatenate([[1.0], z, z[i] * z[j]])
 
     def _monomial_slopes(self, eta: np.ndarray) -> np.ndarray:
         z, unit = (np.asarray(eta, dtype=float) - self.start) / self.steps, np.eye(len(eta))
-        i, j = np.triu_indices(len(z))
+        i, j = _pairs(len(z))
         products = unit[:, i] * z[j] + z[i] * unit[:, j]
         return np.hstack([np.zeros((len(z), 1)), unit, products]) / self.steps[:, None]
 
@@ -183,6 +184,11 @@ class ParametricPlant:
         read = self.readings[:, 1 + 2 * nv :] @ rates
         last = slice(2 * nv, None)
         return Matrices(full[..., felt], full[..., last], read[..., felt], read[..., last])
+
+
+@lru_cache
+def _pairs(count: int) -> tuple[np.ndarray, ...]:
+    return np.triu_indices(count)
 
 
 def transfer_of(plant: Matrices, slopes: Matrices) -> Transfer:

@@ -19,12 +19,18 @@ import numpy as np
 from physid.errors import ConvergenceError, InputError
 from physid.identification.whitening import covariance_of
 from physid.learning.commands import designed, most_telling
-from physid.learning.estimation import Estimate, estimate, first_estimate
+from physid.learning.estimation import REACH, Estimate, estimate, first_estimate
 from physid.learning.loop import Command, Flight
 from physid.learning.sensors import Sensors
 from physid.learning.setup import Setup
 
 
+ASTRAY = (
+    "The published rule has diverged: its model is not finite any more; take the rule that weighs all "
+    "experiments, or start nearer to the rig."
+)
+MOST_GROWTH = 1e5
+"""Growth of an unstable mode over an experiment beyond which it is mirrored."""
 AGAIN = 4
 """A command is designed again after so many times the experiments of the learning."""
 
@@ -122,10 +128,7 @@ class Published(Rule):
         columns = (setup.error_columns(eta, point) * weights[:, None]).reshape(-1, len(eta))
         size = np.linalg.norm(columns, axis=0)
         if not (np.isfinite(columns).all() and np.all(size > 0)):
-            raise ConvergenceError(
-                "The published rule has diverged: its model is not finite any more; take the rule that "
-                "weighs all experiments, or start nearer to the rig."
-            )
+            raise ConvergenceError(ASTRAY)
         step = np.linalg.lstsq(columns / size, (error * weights).ravel(), rcond=None)[0] / size
         return np.asarray(eta - self.gains.gain(len(flights) - 1) * step)
 
@@ -136,6 +139,8 @@ class Published(Rule):
         error = flights[-1].outputs - commands[-1].reference
         sigma = np.sqrt(np.mean(error**2, axis=0))
         columns = (setup.error_columns(eta) / sigma[:, None]).reshape(-1, len(eta))
+        if not np.isfinite(columns).all():
+            raise ConvergenceError(ASTRAY)
         gain = self.gains.gain(len(flights) - 1)
         covariance = covariance_of(columns) * gain / (2.0 - gain)
         return Estimate(
@@ -162,10 +167,15 @@ class InformationWeighted(Rule):
         Experiments before the repetitions.
     sensors : Sensors, optional
         What is known of the noise.
+    disturbed : bool
+        Whether more acts on the rig than its actuator, such as gusts.  If not, the final estimate of an
+        unstable rig takes y - P u itself as the noise, which tells more than the mirrored predictor: a
+        wrong parameter shows multiplied by the growth of the unstable mode.
     """
 
     learning: int = 6
     sensors: Sensors | None = None
+    disturbed: bool = False
 
     def __post_init__(self) -> None:
         if self.learning < 1:
@@ -182,7 +192,7 @@ class InformationWeighted(Rule):
             return first_estimate(setup.plant, evidence, eta)
         if len(flights) > self.learning and not self._designs(setup, len(flights)):
             return eta
-        return estimate(setup.plant, evidence, eta, rough=True).eta
+        return estimate(setup.plant, evidence, eta, rough=True, reach=REACH).eta
 
     def next_command(
         self,
@@ -206,7 +216,14 @@ class InformationWeighted(Rule):
         self, setup: Setup, eta: np.ndarray, commands: Sequence[Command], flights: Sequence[Flight]
     ) -> Estimate:
         """Refine by output error on all experiments, repetitions averaged."""
-        return estimate(setup.plant, setup.gather(commands, flights), eta)
+        found = estimate(setup.plant, setup.gather(commands, flights), eta)
+        if setup.controller is None or self.disturbed:
+            return found
+        growth = np.abs(np.linalg.eigvals(setup.plant.filter(found.eta, setup.dt).a)).max()
+        if setup.samples * np.log(growth) > np.log(MOST_GROWTH):
+            return found
+        whole = setup.gather(commands, flights, mirrored=False)
+        return estimate(setup.plant, whole, found.eta)
 
     def _designs(self, setup: Setup, done: int) -> bool:
         if self.sensors is None or setup.controller is not None:

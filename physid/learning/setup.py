@@ -51,9 +51,11 @@ class Setup:
             dt=self.dt,
         )
 
-    def gather(self, commands: Sequence[Command], flights: Sequence[Flight]) -> Evidence:
-        """Average the repetitions of each command."""
-        return gather(commands, flights, feedback=self.controller is not None)
+    def gather(
+        self, commands: Sequence[Command], flights: Sequence[Flight], *, mirrored: bool = True
+    ) -> Evidence:
+        """Average the repetitions of each command; under a controller unstable modes are mirrored."""
+        return gather(commands, flights, mirrored=mirrored and self.controller is not None)
 
     def error_columns(self, eta: np.ndarray, response: np.ndarray | None = None) -> np.ndarray:
         """Return Lambda Psi (n, ny, p), FU (26) and (29).

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from physid.learning.loop import Command, Flight, closed_loop, flown
+from physid.learning.loop import Command, Flight, closed_loop, flown, left_limits
 from physid.learning.plant import ParametricPlant
 from physid.monitoring.filters import Filter
 
@@ -47,8 +47,3 @@ class LinearExperiment:
         k = int(np.flatnonzero(~(np.abs(outputs[end]) <= command.limits))[0])
         sentence = left_limits(self.plant.outputs[k], float(command.limits[k]), end * command.dt)
         return Flight(inputs=inputs[:end], outputs=outputs[:end], stopped=sentence)
-
-
-def left_limits(output: str, limit: float, time: float) -> str:
-    """Say which output left its limit, and when [s]."""
-    return f"{output} went beyond its limit of {limit:.3g} after {time:.3g} s"
