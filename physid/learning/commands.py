@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from physid.learning.estimation import REACH, estimate, informations, sensitivity
+from physid.learning.estimation import estimate, informations, sensitivity
 from physid.learning.loop import Command, Flight
 from physid.learning.reference import held
 from physid.learning.sensors import Sensors
@@ -158,5 +158,5 @@ def _flown(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the information (g, p, p) of one flight of each command, and how often it was flown."""
     evidence = setup.gather(commands, flights)
-    found = estimate(setup.plant, evidence, eta, rough=True, reach=REACH)
+    found = estimate(setup.plant, evidence, eta, rough=True, cautious=True)
     return informations(setup.plant, eta, evidence, found.sigma), evidence.counts

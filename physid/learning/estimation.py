@@ -31,8 +31,9 @@ FINAL, ROUGH = 60, 10
 PARTS = (0.1, 0.2, 0.4)
 """Shares of the experiments over which a fit comes nearer."""
 
-REACH = 1.0
-"""Pull towards the present estimate while learning, as a standard deviation relative to it."""
+REACH = (1.0, 100.0)
+"""Standard deviation, relative to the value, of the pull towards the present estimate while learning: of
+parameters that cannot be negative, and of those that can, whose start may be little more than a sign."""
 COLOURED = 0.2
 """Correlation of neighbouring residuals from which a first fit has missed, and is tried by parts."""
 
@@ -126,7 +127,7 @@ def estimate(
     start: np.ndarray,
     *,
     rough: bool = False,
-    reach: float = np.inf,
+    cautious: bool = False,
 ) -> Estimate:
     """Fit the parameters to all experiments.
 
@@ -135,9 +136,9 @@ def estimate(
     start : ndarray (p,)
     rough : bool
         One pass of a few steps, as is enough while learning.
-    reach : float
-        Standard deviation, relative to the start's values, of a pull towards the start: what the
-        experiments do not tell yet then stays where it is instead of leaving all bounds.
+    cautious : bool
+        Pull towards the start, by :data:`REACH`: what the experiments do not tell yet then stays where it
+        is instead of leaving all bounds.
 
     Raises
     ------
@@ -147,13 +148,14 @@ def estimate(
     size = plant.scale(plant.start)
     lower, upper = plant.bounds
     eta = np.clip(start, lower + 1e-9 * size, upper - 1e-9 * size)  # the optimiser starts inside
+    spread = _spread(plant, start) if cautious else np.full(len(start), np.inf)
     counts = evidence.counts[:, None]
     ratios = np.maximum(np.sqrt(np.mean(evidence.outputs**2, axis=(0, 1))), 1e-300)
     sigma = _noise(innovations(plant, eta, evidence, ratios), counts, ratios)
     for _ in range(1 if rough else PASSES):
         typical = np.sqrt(np.mean(sigma**2, axis=0))
         weights = np.sqrt(counts)[:, None] / sigma[:, None]
-        eta = _fit(plant, evidence, eta, typical, weights, rough, reach * plant.scale(start))
+        eta = _fit(plant, evidence, eta, typical, weights, rough, spread)
         sigma = _noise(innovations(plant, eta, evidence, typical), counts, ratios)
     weights = np.sqrt(counts)[:, None] / sigma[:, None]
     covariance = covariance_of(_columns(plant, evidence, eta, typical, weights))
@@ -174,8 +176,8 @@ def first_estimate(plant: ParametricPlant, evidence: Evidence, start: np.ndarray
         try:
             for part in path:
                 samples = int(part * evidence.inputs.shape[1])
-                eta = estimate(plant, evidence.beginning(samples), eta, rough=True, reach=REACH).eta
-            eta = estimate(plant, evidence, eta, reach=REACH).eta
+                eta = estimate(plant, evidence.beginning(samples), eta, rough=True, cautious=True).eta
+            eta = estimate(plant, evidence, eta, cautious=True).eta
         except ConvergenceError:
             continue
         misfit = innovations(plant, eta, evidence, ratios)
@@ -250,6 +252,11 @@ def _fit(
             "start nearer to the rig."
         ) from None
     return np.asarray(found.x * scale)
+
+
+def _spread(plant: ParametricPlant, eta: np.ndarray) -> np.ndarray:
+    reach = np.where(np.isfinite(plant.bounds[0]), *REACH)
+    return np.asarray(reach * np.maximum(plant.scale(eta), plant.scale(plant.start)))
 
 
 def _noise(residual: np.ndarray, counts: np.ndarray, ratios: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ import numpy as np
 from physid.errors import ConvergenceError, InputError
 from physid.identification.whitening import covariance_of
 from physid.learning.commands import designed, most_telling
-from physid.learning.estimation import REACH, Estimate, estimate, first_estimate
+from physid.learning.estimation import Estimate, estimate, first_estimate
 from physid.learning.loop import Command, Flight
 from physid.learning.sensors import Sensors
 from physid.learning.setup import Setup
@@ -192,7 +192,7 @@ class InformationWeighted(Rule):
             return first_estimate(setup.plant, evidence, eta)
         if len(flights) > self.learning and not self._designs(setup, len(flights)):
             return eta
-        return estimate(setup.plant, evidence, eta, rough=True, reach=REACH).eta
+        return estimate(setup.plant, evidence, eta, rough=True, cautious=True).eta
 
     def next_command(
         self,
