@@ -82,7 +82,9 @@ def published(out: Figures, seeds: int, rng: np.random.Generator) -> None:
     """The source's rule in its three cases, with the present model's response and the true one's."""
     for number in (1, 2):
         study = aircraft.case(number)
-        found = rms(aircraft.errors(study, Published(gains=Rising(first=FIRST[number])), seeds, rng))
+        found = rms(
+            aircraft.errors(study, Published(gains=Rising(first=FIRST[number])), seeds, rng)
+        )
         bound = study.bound()
         rows = {"paper's one run": np.array(PAPER[number]), "bound, one": bound, "rms": found}
         table(f"case {number}, the paper's rule", study, rows)
@@ -98,7 +100,9 @@ def published(out: Figures, seeds: int, rng: np.random.Generator) -> None:
     rows["median size, G_Y of the true plant"] = np.median(np.abs(true[whole]), axis=0)
     table("case 3, the paper's rule", study, rows)
     diverged = float(np.mean(~np.isfinite(own).all(axis=1)))
-    say(f"   diverged: {100 * diverged:.0f} % with the present model, {100 * np.mean(~whole):.0f} % with the true")
+    say(
+        f"   diverged: {100 * diverged:.0f} % with the present model, {100 * np.mean(~whole):.0f} % with the true"
+    )
 
 
 def best(out: Figures, seeds: int, rng: np.random.Generator) -> None:
@@ -144,12 +148,20 @@ def multisine(out: Figures, seeds: int, rng: np.random.Generator) -> None:
         1.0 + 1e-9,
     )
     setup = Setup(
-        plant=step.setup.plant, reference=proposal.reference, samples=step.setup.samples, dt=aircraft.DT
+        plant=step.setup.plant,
+        reference=proposal.reference,
+        samples=step.setup.samples,
+        dt=aircraft.DT,
     )
     sines = Case(setup=setup, truth=step.truth)
     before = rms(aircraft.errors(step, PLAIN, seeds, rng))
     after = rms(aircraft.errors(sines, PLAIN, seeds, rng))
-    rows = {"step": before, "sines": after, "bound, step": step.bound(50), "bound, sines": sines.bound(50)}
+    rows = {
+        "step": before,
+        "sines": after,
+        "bound, step": step.bound(50),
+        "bound, sines": sines.bound(50),
+    }
     table("case 2, a proposed reference", step, rows)
     out.add("multisine_gain_on_Z_delta", float(before[1] / after[1]), ">=", 3.0)
 
@@ -185,7 +197,9 @@ def two_inertia(out: Figures, seeds: int, seed: int, rng: np.random.Generator) -
     env = gymnasium.make("physid_envs:physid/TwoInertia-v0", max_episode_steps=-1)
     scores, rule = [], InformationWeighted(learning=3, sensors=KNOWN)
     for k in range(seeds):
-        flown = EnvironmentExperiment(env, plant.outputs, seed=seed + 1000 * k, ratio=KNOWN.ratio or 0)
+        flown = EnvironmentExperiment(
+            env, plant.outputs, seed=seed + 1000 * k, ratio=KNOWN.ratio or 0
+        )
         learned = learn(setup, flown, rule=rule, experiments=10)
         assert learned.estimate is not None, learned.stopped
         scores.append((learned.estimate.eta - truth) / as_flown(setup, learned, truth))
@@ -212,7 +226,9 @@ def engine(out: Figures, seed: int, directory: Path | None, *, small: bool) -> N
     studies = {f"case {n}": aircraft.case(n) for n in (1, 2, 3)}
     studies["unstable, case 1"] = aircraft.unstable_case(1)
     for title, study in studies.items():
-        learned = learn(study.setup, aircraft.environment(study, seed), rule=PLAIN, experiments=count)
+        learned = learn(
+            study.setup, aircraft.environment(study, seed), rule=PLAIN, experiments=count
+        )
         courses[title] = (study, learned)
         assert learned.estimate is not None, learned.stopped
         score = (learned.estimate.eta - study.truth) / learned.estimate.std_error
@@ -227,7 +243,6 @@ def bad_input(out: Figures, seed: int) -> None:
     """An unstable aircraft without feedback; a reference too fast; parameters that act alike."""
     study = aircraft.unstable_case(1)
     free = Setup(plant=study.setup.plant, reference=Reference(), samples=1000, dt=aircraft.DT)
-    flown = aircraft.environment(Case(setup=free, truth=study.truth), seed)
     flown = EnvironmentExperiment(
         gymnasium.make(
             "physid_envs:physid/Aircraft-v0",

@@ -145,7 +145,9 @@ def errors(
 ) -> np.ndarray:
     """Return the errors [%] of learnings with fresh noise, (seeds, p)."""
     found = [
-        study.percent(learn(study.setup, experiment(study, child), rule=rule, experiments=experiments))
+        study.percent(
+            learn(study.setup, experiment(study, child), rule=rule, experiments=experiments)
+        )
         for child in rng.spawn(seeds)
     ]
     return np.array(found)

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from physid.errors import InputError
+from physid.learning.commands import largest_error
 from physid.learning.estimation import Evidence, informations
 from physid.learning.loop import Command, closed_loop, flown
-from physid.learning.commands import largest_error
 from physid.learning.reference import Reference
 from physid.learning.sensors import Sensors
 from physid.learning.setup import Setup
@@ -82,9 +82,7 @@ def expect(setup: Setup, eta: np.ndarray, sensors: Sensors) -> Expectation:
     )
 
 
-def _information(
-    setup: Setup, eta: np.ndarray, command: Command, sensors: Sensors
-) -> np.ndarray:
+def _information(setup: Setup, eta: np.ndarray, command: Command, sensors: Sensors) -> np.ndarray:
     loop = closed_loop(setup.plant.filter(eta, setup.dt), setup.controller)
     inputs, outputs = flown(loop, command, np.zeros((1, *command.reference.shape)))
     evidence = Evidence(
@@ -156,7 +154,9 @@ def identifiable(
         values, vectors = np.linalg.eigh(part / np.outer(size, size))
         error = np.sqrt(np.abs(np.diag(inverse))) / size
         if values[0] < ALIKE**2:
-            error = np.where(np.abs(vectors[:, 0]) > 1e-3, np.inf, error) * (1 + np.abs(vectors[:, 0]))
+            error = np.where(np.abs(vectors[:, 0]) > 1e-3, np.inf, error) * (
+                1 + np.abs(vectors[:, 0])
+            )
         if error.max() <= worst:
             break
         del kept[int(np.argmax(error))]
@@ -195,10 +195,10 @@ def propose(
     output_limits: np.ndarray | None = None,
     candidates: int = 60,
 ) -> Proposal:
-    """Propose filtered sines that tell more about the parameters at a point, under amplitude limits.
+    """Propose a filtered step with sines that tell more about the parameters at a point, under amplitude limits.
 
-    Bands of equal sines between the slowest frequency of the record and the fastest the samples carry,
-    with the spectrum tilted, are scaled into the limits and compared by the largest relative standard
+    A step and bands of sines between the slowest frequency of the record and the fastest the samples carry,
+    the spectrum tilted, are scaled into the limits and compared by the largest relative standard
     error expected; then the best is varied at random.
 
     Parameters
@@ -227,12 +227,15 @@ def propose(
             top / float(np.abs(command.feedforward).max()),
             float(np.min(peaks / np.maximum(np.abs(command.reference).max(axis=0), 1e-300))),
         )
-        fitted = replace(tried, reference=replace(reference, amplitude=factor * reference.amplitude))
+        fitted = replace(
+            tried, reference=replace(reference, amplitude=factor * reference.amplitude)
+        )
         command = fitted.command(eta, np.full(len(peaks), np.inf))
         return largest_error(_information(fitted, eta, command, sensors), scale), fitted, command
 
     fresh = candidates // 2
-    best = min((scaled(_band(setup, rng)) for _ in range(fresh)), key=lambda found: found[0])
+    tried = [setup.reference, *(_band(setup, rng) for _ in range(fresh))]
+    best = min((scaled(reference) for reference in tried), key=lambda found: found[0])
     for _ in range(candidates - fresh):
         best = min(best, scaled(_varied(best[1].reference, rng)), key=lambda found: found[0])
     _, fitted, command = best
@@ -246,7 +249,7 @@ def propose(
 
 
 def _band(setup: Setup, rng: np.random.Generator) -> Reference:
-    """Draw sines at multiples of the slowest frequency, which the filter passes."""
+    """Draw a step and sines at multiples of the slowest frequency, which the filter passes."""
     slowest = 2.0 * math.pi / (setup.samples * setup.dt)
     fastest = max(0.05 / setup.dt, 4.0 * slowest)
     low, high = np.sort(np.exp(rng.uniform(math.log(slowest), math.log(fastest), 2)))
@@ -255,12 +258,13 @@ def _band(setup: Setup, rng: np.random.Generator) -> Reference:
     levels = (lines / lines[0]) ** rng.uniform(-2.0, 0.5)
     phases = rng.uniform(0.0, 2.0 * math.pi, len(lines))
     corner = max(setup.reference.corner, float(lines[-1]))
+    step = rng.uniform(0.0, 2.0) * float(np.abs(levels).max())
     return Reference(
         corner=corner,
         order=setup.reference.order,
-        frequencies=tuple(map(float, lines)),
-        levels=tuple(map(float, levels)),
-        phases=tuple(map(float, phases)),
+        frequencies=(0.0, *map(float, lines)),
+        levels=(step, *map(float, levels)),
+        phases=(0.0, *map(float, phases)),
     )
 
 
@@ -274,4 +278,3 @@ def _varied(reference: Reference, rng: np.random.Generator) -> Reference:
         levels=tuple(map(float, levels)),
         phases=tuple(map(float, phases)),
     )
-

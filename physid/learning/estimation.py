@@ -93,7 +93,9 @@ def gather(
         groups.setdefault(command.key, []).append(k)
     return Evidence(
         inputs=np.array([np.mean([flights[k].inputs for k in g], axis=0) for g in groups.values()]),
-        outputs=np.array([np.mean([flights[k].outputs for k in g], axis=0) for g in groups.values()]),
+        outputs=np.array(
+            [np.mean([flights[k].outputs for k in g], axis=0) for g in groups.values()]
+        ),
         counts=np.array([len(g) for g in groups.values()]),
         dt=commands[0].dt,
         mirrored=mirrored,
@@ -176,7 +178,9 @@ def first_estimate(plant: ParametricPlant, evidence: Evidence, start: np.ndarray
         try:
             for part in path:
                 samples = int(part * evidence.inputs.shape[1])
-                eta = estimate(plant, evidence.beginning(samples), eta, rough=True, cautious=True).eta
+                eta = estimate(
+                    plant, evidence.beginning(samples), eta, rough=True, cautious=True
+                ).eta
             eta = estimate(plant, evidence, eta, cautious=True).eta
         except ConvergenceError:
             continue
@@ -204,7 +208,11 @@ def sensitivity(
 
 
 def _columns(
-    plant: ParametricPlant, evidence: Evidence, eta: np.ndarray, sigma: np.ndarray, weights: np.ndarray
+    plant: ParametricPlant,
+    evidence: Evidence,
+    eta: np.ndarray,
+    sigma: np.ndarray,
+    weights: np.ndarray,
 ) -> np.ndarray:
     """Return the weighted innovations' sensitivities (g n ny, p)."""
 

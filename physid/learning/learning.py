@@ -58,7 +58,9 @@ class Learned:
     @property
     def std_errors(self) -> dict[str, float]:
         """Standard errors by name; infinite where nothing was learned."""
-        found = np.full(len(self.names), np.inf) if self.estimate is None else self.estimate.std_error
+        found = (
+            np.full(len(self.names), np.inf) if self.estimate is None else self.estimate.std_error
+        )
         return dict(zip(self.names, map(float, found), strict=True))
 
 
@@ -161,7 +163,9 @@ def _fly(experiment: Experiment, command: Command) -> Flight:
         )
     inside = np.abs(flight.outputs) <= command.limits
     if not (inside.all() and np.isfinite(flight.inputs).all()):
-        return Flight(inputs=flight.inputs, outputs=flight.outputs, stopped="an output left its limits")
+        return Flight(
+            inputs=flight.inputs, outputs=flight.outputs, stopped="an output left its limits"
+        )
     return flight
 
 

@@ -95,7 +95,11 @@ def closed_loop(plant: Filter, controller: Filter | None) -> Filter:
     """
     ny, n = plant.c.shape
     k = Filter(
-        a=np.zeros((0, 0)), b=np.zeros((0, ny)), c=np.zeros((1, 0)), d=np.zeros((1, ny)), dt=plant.dt
+        a=np.zeros((0, 0)),
+        b=np.zeros((0, ny)),
+        c=np.zeros((1, 0)),
+        d=np.zeros((1, ny)),
+        dt=plant.dt,
     )
     k = controller or k
     if k.b.shape[1] != ny or len(k.c) != 1 or abs(k.dt - plant.dt) > 1e-9 * plant.dt:
@@ -161,7 +165,9 @@ def _mirroring(plant: Filter, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray
     ny, n = plant.c.shape
     if np.abs(np.linalg.eigvals(plant.a)).max() <= UNSTABLE:
         return np.zeros((n, ny)), np.eye(ny)
-    form, basis, count = schur(plant.a, output="real", sort=lambda re, im: np.hypot(re, im) > UNSTABLE)
+    form, basis, count = schur(
+        plant.a, output="real", sort=lambda re, im: np.hypot(re, im) > UNSTABLE
+    )
     right, fast = basis[:, :count], form[:count, :count]  # the unstable modes: A right = right fast
     seen = plant.c @ right
     back = np.linalg.inv(fast)

@@ -34,7 +34,7 @@ class Reference:
     amplitude : float
         A, in the unit that makes N(p) r_s the outputs'.
     frequencies : tuple of float
-        Of the sines [rad/s]; none for a step.
+        Of the sines [rad/s], zero for a step among them; none for a step alone.
     levels, phases : tuple of float
         Of the sines; phases in rad.
 
@@ -52,11 +52,12 @@ class Reference:
     phases: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        positive = (self.corner, self.order, self.amplitude, *self.frequencies)
-        if not all(math.isfinite(v) and v > 0 for v in positive):
+        positive = (self.corner, self.order, self.amplitude)
+        waves = all(math.isfinite(v) and v >= 0 for v in self.frequencies)
+        if not (waves and all(math.isfinite(v) and v > 0 for v in positive)):
             raise InputError(
                 f"A reference of corner {self.corner:g} rad/s, order {self.order} and amplitude "
-                f"{self.amplitude:g} is given; these and the frequencies must be positive and finite."
+                f"{self.amplitude:g} is given; these must be positive and finite, frequencies not negative."
             )
         if not len(self.frequencies) == len(self.levels) == len(self.phases):
             raise InputError(

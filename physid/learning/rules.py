@@ -24,7 +24,6 @@ from physid.learning.loop import Command, Flight
 from physid.learning.sensors import Sensors
 from physid.learning.setup import Setup
 
-
 ASTRAY = (
     "The published rule has diverged: its model is not finite any more; take the rule that weighs all "
     "experiments, or start nearer to the rig."
@@ -115,7 +114,7 @@ class Published(Rule):
         with them converges where the present model's diverge (its case 3).
     """
 
-    gains: Rising | Averaging = Rising()  # noqa: RUF009 - a frozen value
+    gains: Rising | Averaging = Rising()
     response: tuple[float, ...] | None = None
 
     def follow(

@@ -76,7 +76,9 @@ def test_the_predictor_whitens_an_unstable_rig():
     rng = np.random.default_rng(0)
     turn = rng.normal(size=(3, 3))
     a = turn @ np.diag([1.1, 0.7, 0.5]) @ np.linalg.inv(turn)
-    plant = Filter(a=a, b=rng.normal(size=(3, 1)), c=rng.normal(size=(2, 3)), d=np.zeros((2, 1)), dt=1.0)
+    plant = Filter(
+        a=a, b=rng.normal(size=(3, 1)), c=rng.normal(size=(2, 3)), d=np.zeros((2, 1)), dt=1.0
+    )
     sigma = np.array([1.0, 0.3])
     whitened = predictor(plant, sigma)
     poles = np.sort(np.linalg.eigvals(whitened.a).real)
