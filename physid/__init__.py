@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from physid.criticism.refinement import refine as refine
     from physid.criticism.simulating import simulate as simulate
     from physid.effects.catalogue import load_model as load_model
-    from physid.monitoring.study import monitor as monitor
     from physid.learning.learning import learn as learn
+    from physid.monitoring.study import monitor as monitor
     from physid.record import load_record as load_record
     from physid.record import write_record as write_record
     from physid.tuning.study import tune as tune

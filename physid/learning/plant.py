@@ -155,13 +155,14 @@ class ParametricPlant:
     def _monomials(self, eta: np.ndarray) -> np.ndarray:
         z = (np.asarray(eta, dtype=float) - self.start) / self.steps
         i, j = _pairs(len(z))
-        return np.concatenate([[1.0], z, z[i] * z[j]])
+        return np.asarray(np.concatenate([[1.0], z, z[i] * z[j]]))
 
     def _monomial_slopes(self, eta: np.ndarray) -> np.ndarray:
         z, unit = (np.asarray(eta, dtype=float) - self.start) / self.steps, np.eye(len(eta))
         i, j = _pairs(len(z))
         products = unit[:, i] * z[j] + z[i] * unit[:, j]
-        return np.hstack([np.zeros((len(z), 1)), unit, products]) / self.steps[:, None]
+        whole = np.hstack([np.zeros((len(z), 1)), unit, products])
+        return np.asarray(whole / self.steps[:, None])
 
     def _rates(self, balance: np.ndarray) -> np.ndarray:
         """Return qddot per (q, qdot, u)."""
