@@ -92,7 +92,8 @@ def _information(setup: Setup, eta: np.ndarray, command: Command, sensors: Senso
         dt=setup.dt,
         mirrored=setup.controller is not None,
     )
-    return informations(setup.plant, eta, evidence, sensors.of(outputs[0])[None])[0]
+    sigma = sensors.of(outputs[0])[None]
+    return np.asarray(informations(setup.plant, eta, evidence, sigma)[0])
 
 
 def check_distinct(setup: Setup, eta: np.ndarray) -> None:
