@@ -34,8 +34,10 @@ PARTS = (0.1, 0.2, 0.4)
 REACH = (1.0, 100.0)
 """Standard deviation, relative to the value, of the pull towards the present estimate while learning: of
 parameters that cannot be negative, and of those that can, whose start may be little more than a sign."""
+RESTARTS = 6
+"""Starts of other sizes that are tried where a first fit has missed."""
 COLOURED = 0.2
-"""Correlation of neighbouring residuals from which a first fit has missed, and is tried by parts."""
+"""Correlation of neighbouring residuals from which a fit has missed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -166,15 +168,18 @@ def estimate(
 
 
 def first_estimate(plant: ParametricPlant, evidence: Evidence, start: np.ndarray) -> np.ndarray:
-    """Return an estimate (p,) from far: the better one of a fit at once and one by parts.
+    """Return an estimate (p,) from far: the first of several fits that leaves white residuals, or the best.
 
-    Every experiment starts at rest, so its first part is an experiment too, over which a wrong model has
-    not yet drifted away by a period of its slow motion; but it may tell too little.
+    A fit at once; one by parts, as every experiment starts at rest, so that its first part is an experiment
+    too, over which a wrong model has not yet drifted away by a period of its slow motion; and fits from
+    starts of other sizes, of the same signs.
     """
     ratios = np.sqrt(np.mean(evidence.outputs**2, axis=(0, 1)))
+    rng, reach = np.random.default_rng(0), _reach(plant)
+    sizes = [np.ones(len(start)), *reach ** rng.uniform(-0.2, 1.0, (RESTARTS, len(start)))]
     best, least = start, np.inf
-    for path in ((), PARTS):
-        eta = start
+    for size, path in [(s, path) for s in sizes for path in ((), PARTS)]:
+        eta = start * size
         try:
             for part in path:
                 samples = int(part * evidence.inputs.shape[1])
@@ -185,15 +190,20 @@ def first_estimate(plant: ParametricPlant, evidence: Evidence, start: np.ndarray
         except ConvergenceError:
             continue
         misfit = innovations(plant, eta, evidence, ratios)
-        size = float(np.sum(np.log(np.mean(misfit**2, axis=1))))
-        best, least = (eta, size) if size < least else (best, least)
-        if np.abs(noise_of(misfit[0]).rho).max() < COLOURED:
+        left = float(np.sum(np.log(np.mean(misfit**2, axis=1))))
+        best, least = (eta, left) if left < least else (best, least)
+        if not coloured(misfit):
             break
     if not np.isfinite(least):
         raise ConvergenceError(
             f"The model {plant.name} is not finite at its start; give bounds, or a start nearer to the rig."
         )
     return best
+
+
+def coloured(residual: np.ndarray) -> bool:
+    """Tell whether residuals (g, n, ny) are so far from white that their fit has missed."""
+    return any(np.abs(noise_of(one).rho).max() > COLOURED for one in residual)
 
 
 def sensitivity(
@@ -263,8 +273,11 @@ def _fit(
 
 
 def _spread(plant: ParametricPlant, eta: np.ndarray) -> np.ndarray:
-    reach = np.where(np.isfinite(plant.bounds[0]), *REACH)
-    return np.asarray(reach * np.maximum(plant.scale(eta), plant.scale(plant.start)))
+    return np.asarray(_reach(plant) * np.maximum(plant.scale(eta), plant.scale(plant.start)))
+
+
+def _reach(plant: ParametricPlant) -> np.ndarray:
+    return np.where(np.isfinite(plant.bounds[0]), *REACH)
 
 
 def _noise(residual: np.ndarray, counts: np.ndarray, ratios: np.ndarray) -> np.ndarray:

@@ -19,7 +19,13 @@ import numpy as np
 from physid.errors import ConvergenceError, InputError
 from physid.identification.whitening import covariance_of
 from physid.learning.commands import designed, most_telling
-from physid.learning.estimation import Estimate, estimate, first_estimate
+from physid.learning.estimation import (
+    Estimate,
+    coloured,
+    estimate,
+    first_estimate,
+    innovations,
+)
 from physid.learning.loop import Command, Flight
 from physid.learning.sensors import Sensors
 from physid.learning.setup import Setup
@@ -191,7 +197,11 @@ class InformationWeighted(Rule):
             return first_estimate(setup.plant, evidence, eta)
         if len(flights) > self.learning and not self._designs(setup, len(flights)):
             return eta
-        return estimate(setup.plant, evidence, eta, rough=True, cautious=True).eta
+        found = estimate(setup.plant, evidence, eta, rough=True, cautious=True)
+        sigma = np.sqrt(np.mean(found.sigma**2, axis=0))
+        if coloured(innovations(setup.plant, found.eta, evidence, sigma)):
+            return first_estimate(setup.plant, evidence, setup.plant.start)
+        return found.eta
 
     def next_command(
         self,
