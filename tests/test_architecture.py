@@ -15,6 +15,7 @@ ORDER = [
     "effects",
     "identification",
     "monitoring",
+    "learning",
     "criticism",
     "tuning",
     "report",

@@ -21,6 +21,7 @@ DOCUMENTS = [
     ROOT / "docs" / "lmi.md",
     ROOT / "docs" / "tuning.md",
     ROOT / "docs" / "monitoring.md",
+    ROOT / "docs" / "learning.md",
 ]
 
 

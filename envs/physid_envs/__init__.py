@@ -22,12 +22,14 @@ from physid_envs.environment import RigEnv
 from physid_envs.excitation import Excite
 from physid_envs.experiment import run_experiment
 from physid_envs.feedback import StateFeedback, regulator_gain
+from physid_envs.learning import EnvironmentExperiment
 from physid_envs.recording import Recorder, pieces
 from physid_envs.registration import register_all
 from physid_envs.task import Task
 
 __all__ = [
     "BatchedRigEnv",
+    "EnvironmentExperiment",
     "Excite",
     "Recorder",
     "RigEnv",

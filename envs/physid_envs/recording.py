@@ -46,6 +46,11 @@ class Recorder(
         self._title = "record"
 
     @property
+    def rows(self) -> tuple[Sample, ...]:
+        """The episode so far, step by step."""
+        return tuple(self._rows)
+
+    @property
     def record(self) -> Record:
         """The episode so far.
 

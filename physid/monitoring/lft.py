@@ -154,7 +154,7 @@ def pull_out(
         left.append(u[:, :rank] * s[:rank])
         right.append(vt[:rank])
         owners += [j] * rank
-    names, rows = _sensors(model, outputs)
+    names, rows = linear_readings(model, outputs)
     return Pulled(
         plant=plant,
         nominal=np.array([p.value for p in found]),
@@ -184,7 +184,22 @@ def _check_affine(model: Model, parameters: Sequence[Parameter], plant: LinearPl
             )
 
 
-def _sensors(model: Model, outputs: Sequence[str] | None) -> tuple[tuple[str, ...], np.ndarray]:
+def linear_readings(
+    model: Model, outputs: Sequence[str] | None = None
+) -> tuple[tuple[str, ...], np.ndarray]:
+    """Return sensors' names and how they read (1, q, qdot, qddot), (ny, 1 + 3 nv).
+
+    Parameters
+    ----------
+    model : Model
+    outputs : sequence of str, optional
+        Sensors; by default all.
+
+    Raises
+    ------
+    ModelError
+        If a sensor does not exist or is not linear in the motion.
+    """
     import mujoco
 
     compiled = model.compile(model.dt).model
