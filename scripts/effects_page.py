@@ -38,7 +38,11 @@ is that of so much before the record, during which the input is taken to have be
 compiled force laws that physid hands to the engine; they travel in the file as `<custom>` entries
 and act when `physid.load_model` has read it.
 
-This page is written by `scripts/effects_page.py` from the catalogue itself.
+The pictures show what an effect looks like along a motion: the force that the model without it lacks
+(orange), or what acts or is read with it (orange) and without it (grey).
+
+This page is written by `scripts/effects_page.py` from the catalogue itself, its pictures by
+`scripts/effects_pictures.py`.
 """
 REPRESENTATIONS = {"native": "native", "approximate": "approximate", "runtime": "run-time"}
 
@@ -70,6 +74,7 @@ def _section(effect: Mapping[str, Any]) -> str:
     lines = [
         f"### {effect['name']}\n",
         f"{' '.join(effect['description'].split())}\n",
+        f"![{effect['name']} in data](effects/{effect['name']}.svg)\n",
         f"Law: `{effect['law']}`. At: {', '.join(effect['places'])}. "
         f"In MuJoCo: {REPRESENTATIONS[effect['representation']]}. Source: {effect['source']}.\n",
         "| parameter | unit | meaning |",

@@ -45,6 +45,7 @@ class StiffnessChange(Effect):
     source = "Basseville, Nikiforov, Detection of abrupt changes (1993), ch. 11"
     kinds = ("joint", "tendon")
     representation = "runtime"
+    timed = True
     searched = False
     coefficients = (
         Coefficient(name="factor", unit="1", meaning="stiffness after over stiffness before"),

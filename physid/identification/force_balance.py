@@ -78,10 +78,10 @@ class Balance:
 def observable(model: Model, experiment: Experiment) -> bool:
     """Say whether the record shows every joint's position (as hinges and slides only).
 
-    It does not where a sensor is believed not to be ideal, or an effect has a memory of its own.
+    It does not where a sensor is believed not to be ideal, or an effect depends on more than the motion.
     """
     structure = model.structure
-    if any(p.place.kind == "sensor" or p.effect.memory for p in model.effects):
+    if any(p.place.kind == "sensor" or p.effect.memory or p.effect.timed for p in model.effects):
         return False
     kin = kinematics_of(model, experiment.channels)
     return bool(

@@ -147,6 +147,8 @@ class Effect(ABC):
     hinge_only: ClassVar[bool] = False
     memory: ClassVar[tuple[str, ...]] = ()
     """States of its own that its one element has; see :class:`Element`."""
+    timed: ClassVar[bool] = False
+    """Whether its law depends on the time."""
     searched: ClassVar[bool] = True
     """Whether a diagnosis tries it by itself; if not, it is there for who adds it."""
 
