@@ -146,15 +146,15 @@ def with_activations(
             keep = np.exp(-model.opt.timestep / plant.time_constants[i])
             path = lfilter([0.0, 1.0 - keep], [1.0, -keep], u, zi=[u[0]])[0]
         activations[:, model.actuator_actadr[i]] = path[starts * substeps]
-    column = model.nq + model.nv
+    motion = states[:, : model.nq + model.nv]
+    memory = states[:, motion.shape[1] :]
     for element in (e for e in plant.elements if e.memory):
         own, size = element.activation, len(element.memory)
-        known = states[:, column : column + size]
+        known, memory = memory[:, :size], memory[:, size:]
         if not known.shape[1]:
-            known = element.remembered(states[:, : model.nq], states[:, model.nq : column])
+            known = element.remembered(motion[:, : model.nq], motion[:, model.nq :])
         activations[:, own : own + size] = known
-        column += size
-    return np.hstack([states[:, : model.nq + model.nv], activations])
+    return np.hstack([motion, activations])
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ from scipy.interpolate import CubicSpline
 from physid.effects.catalogue import add_effects
 from physid.effects.hysteresis import bouc_wen
 from physid.errors import ModelError
+from physid.identification.problem import with_activations, with_memory
 from physid.plant.simulation import make_simulator
 from tests.plant.rigs import PENDULUM, load_text, ranges, run
 
@@ -145,3 +146,20 @@ def test_a_late_sensor_is_late_for_any_user_of_mujoco():
     again = load_text(text)
     assert not again.nominal.sensor_delay.any()
     assert load_text(again.to_xml(1e-3)).effects == again.effects
+
+
+def test_memory_that_is_not_given_starts_where_nothing_is_known():
+    model = with_effect("hysteresis", model=with_effect("unmodelled_mode"))
+    plant = model.compile(1e-3)
+    states = np.array([[0.3, 0.0, 0.0, 2.0, 0.0, 0.0]])
+    controls, starts = np.zeros((10, 2)), np.zeros(1, int)
+
+    def start(given):
+        return with_activations(plant, controls, given, starts, 1)[0, 6:]
+
+    assert start(states) == pytest.approx([0.3, 2.0, 0.0])
+    assert start(np.hstack([states, [[0.1, 0.2]]])) == pytest.approx([0.1, 0.2, 0.0])
+    whole = np.hstack([states, [[0.1, 0.2, 0.5]]])
+    assert start(whole) == pytest.approx([0.1, 0.2, 0.5])
+    part = with_memory(plant.elements, model.structure, whole[:, :8])
+    assert part[0] == pytest.approx([*whole[0, :8], 0.0])
