@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 
 from physid.plant.effect import spec_element
-from physid.plant.model import NO_INPUT
+from physid.plant.memory import NO_INPUT
 from physid.plant.structure import Place
 
 

@@ -13,6 +13,7 @@ from physid.errors import ModelError, available
 from physid.plant.delays import HELD, held_delay, take_delays, write_delay
 from physid.plant.effect import Coefficient, Effect, Element, Placed, spec_element
 from physid.plant.loading import without_looks
+from physid.plant.memory import add_memory, memory_name
 from physid.plant.parameter import (
     ATTRIBUTES,
     Parameter,
@@ -30,10 +31,6 @@ ELEMENT_TABLE = "physid:elements"
 """Name of the table of run-time force laws in a compiled model; never written to a file."""
 ELEMENT_WIDTH = 100
 """Numbers reserved per run-time force law."""
-MEMORY = "physid:memory"
-"""How the names of activations begin that hold effects' own states in a compiled model."""
-NO_INPUT = 16
-"""The engine's ``ctrlspec`` of an actuator with ``input="none"``."""
 JOINT_WIDTH = 5
 """Numbers per joint of a law: addresses in qpos and qvel, factors of position, speed and force."""
 MOST_ELEMENTS = 4
@@ -253,7 +250,8 @@ class Model:
                 size=ELEMENT_WIDTH * MOST_ELEMENTS * len(runtime) + 2,
                 data=np.zeros(1),
             )
-        self._add_memory(spec)
+        for placed in self.effects:
+            add_memory(spec, self.site(placed), placed, self.structure.joints[0].name)
         try:
             model = spec.compile()
         except ValueError as error:
@@ -297,28 +295,12 @@ class Model:
         """The effects' own states, by kind; see :class:`physid.plant.effect.Element`."""
         return tuple(kind for p in self.effects for kind in p.effect.memory)
 
-    def _add_memory(self, spec: mujoco.MjSpec) -> None:
-        """Add an activation for every state that an effect has: of a motor without input or force."""
-        for placed in self.effects:
-            for k in range(len(placed.effect.memory)):
-                actuator = spec.add_actuator(
-                    name=f"{MEMORY}:{self.site(placed)}.{k}",
-                    target=self.structure.joints[0].name,
-                    trntype=mujoco.mjtTrn.mjTRN_JOINT,
-                )
-                actuator.dyntype = mujoco.mjtDyn.mjDYN_USER
-                actuator.gaintype = mujoco.mjtGain.mjGAIN_DCMOTOR
-                actuator.gainprm[0] = 1.0
-                actuator.ctrlspec = NO_INPUT
-                actuator.actdim = 1
-                actuator.gear[0] = 0.0
-
     def _elements(self, model: mujoco.MjModel, placed: Placed) -> tuple[Element, ...]:
         found = placed.effect.elements(model, placed.place, placed.values)
         if placed.effect.memory:
             (element,) = found
-            actuator = model.actuator(f"{MEMORY}:{self.site(placed)}.0").id
-            found = (replace(element, activation=int(model.actuator_actadr[actuator])),)
+            first = model.actuator(memory_name(self.site(placed), 0)).id
+            found = (replace(element, activation=int(model.actuator_actadr[first])),)
         for element in found:
             joints, most = element.joints.size, (ELEMENT_WIDTH - 20) // JOINT_WIDTH
             if joints > most:

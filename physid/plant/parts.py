@@ -14,7 +14,8 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from physid.plant.model import MEMORY, Plant
+from physid.plant.memory import MEMORY
+from physid.plant.model import Plant
 from physid.plant.structure import tendon_row
 
 EDGES = ("position", "speed", "time")

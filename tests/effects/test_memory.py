@@ -13,6 +13,7 @@ from physid.effects.catalogue import add_effects
 from physid.effects.hysteresis import bouc_wen
 from physid.errors import ModelError
 from physid.identification.problem import with_activations, with_memory
+from physid.plant.requirements import require_motion_alone
 from physid.plant.simulation import make_simulator
 from tests.plant.rigs import PENDULUM, load_text, ranges, run
 
@@ -146,6 +147,13 @@ def test_a_late_sensor_is_late_for_any_user_of_mujoco():
     again = load_text(text)
     assert not again.nominal.sensor_delay.any()
     assert load_text(again.to_xml(1e-3)).effects == again.effects
+
+
+@pytest.mark.parametrize("name", ["hysteresis", "stiffness_change", "sensor_offset"])
+def test_what_follows_from_more_than_the_motion_is_refused_where_the_motion_is_all(name):
+    require_motion_alone(with_effect("backlash"), "A tuning")
+    with pytest.raises(ModelError, match=rf"A tuning needs forces .* but {name}@\w+ has a memory"):
+        require_motion_alone(with_effect(name), "A tuning")
 
 
 def test_memory_that_is_not_given_starts_where_nothing_is_known():
