@@ -14,21 +14,35 @@ FAMILIES = {
     "elasticity": "Springs",
     "transmission": "Transmission",
     "structure": "Loads and inertia",
+    "variation": "Parameters that change",
     "actuation": "Actuators",
+    "sensing": "Sensors",
 }
 INTRODUCTION = """# The effects
 
-What a model may lack, and what `physid diagnose` tries, wherever it can sit in the model. Add one
-by hand with `--add EFFECT@LOCATION:parameter=value,...`; parameters without a value are fitted. A
-location is the name of a joint, tendon or actuator in the MJCF. Forces act on the joint or along
-the tendon; x is its position from the spring's rest, q a joint's angle, v the speed, u the
-actuator's input. `physid effects` prints this list in the terminal.
+What a model may lack. Add one by hand with `--add EFFECT@LOCATION:parameter=value,...`; parameters
+without a value are fitted, from the best of many starting values. A location is the name of a joint,
+tendon, body, actuator or sensor in the MJCF, or of two joints (`--add coupling@slide1,slide3`).
+Forces act on the joint or along the tendon; x is its position from the spring's rest, q a joint's
+angle, v the speed, u the actuator's input, y what a sensor measures. `physid effects` prints this
+list in the terminal.
+
+`physid diagnose` and `physid refine` try the effects marked in the column *searched*, wherever they
+can sit in the model; the others are there for who suspects them.
+
+An effect with a memory (a hysteresis, a mass on a spring, a lagging reading) has states of its own.
+They are estimated beside the initial positions and speeds. Where a sensor is late, the initial state
+is that of so much before the record, during which the input is taken to have been what it is at first.
 
 **Native** effects are MuJoCo's own: `refined.xml` loads in plain MuJoCo. **Run-time** effects are
 compiled force laws that physid hands to the engine; they travel in the file as `<custom>` entries
 and act when `physid.load_model` has read it.
 
-This page is written by `scripts/effects_page.py` from the catalogue itself.
+The pictures show what an effect looks like along a motion: the force that the model without it lacks
+(orange), or what acts or is read with it (orange) and without it (grey).
+
+This page is written by `scripts/effects_page.py` from the catalogue itself, its pictures by
+`scripts/effects_pictures.py`.
 """
 REPRESENTATIONS = {"native": "native", "approximate": "approximate", "runtime": "run-time"}
 
@@ -43,13 +57,14 @@ def page() -> str:
 
 
 def _overview(effects: list[dict[str, Any]]) -> str:
-    rows = ["| effect | at | law | in MuJoCo |", "|---|---|---|---|"]
+    rows = ["| effect | at | law | in MuJoCo | searched |", "|---|---|---|---|---|"]
     for effect in effects:
         cells = (
             f"[`{effect['name']}`](#{effect['name']})",
             ", ".join(effect["places"]),
             f"`{effect['law']}`".replace("|", "\\|"),
             REPRESENTATIONS[effect["representation"]],
+            "yes" if effect["searched"] else "no",
         )
         rows.append(f"| {' | '.join(cells)} |")
     return "\n".join(rows) + "\n"
@@ -59,6 +74,7 @@ def _section(effect: Mapping[str, Any]) -> str:
     lines = [
         f"### {effect['name']}\n",
         f"{' '.join(effect['description'].split())}\n",
+        f"![{effect['name']} in data](effects/{effect['name']}.svg)\n",
         f"Law: `{effect['law']}`. At: {', '.join(effect['places'])}. "
         f"In MuJoCo: {REPRESENTATIONS[effect['representation']]}. Source: {effect['source']}.\n",
         "| parameter | unit | meaning |",

@@ -135,7 +135,7 @@ def _physid() -> Any:
 def _known() -> list[str]:
     from physid.effects.catalogue import CATALOGUE
 
-    return [effect.name for effect in CATALOGUE]
+    return [effect.name for effect in CATALOGUE if effect.searched]
 
 
 def _diagnosis(refined: Any, refinement: Mapping[str, Any]) -> Mapping[str, Any] | None:

@@ -7,6 +7,7 @@ import shlex
 import stat
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.main import get_command
 
@@ -85,6 +86,19 @@ def test_page_of_effects_is_current():
     assert script["PAGE"].read_text(encoding="utf-8") == script["page"](), (
         "run python scripts/effects_page.py"
     )
+
+
+def test_every_effect_has_a_picture():
+    script = runpy.run_path(str(ROOT / "scripts" / "effects_pictures.py"))
+    shown = [picture.added.partition("@")[0] for picture in script["SHOWN"]]
+    assert sorted(shown) == sorted(effect.name for effect in script["CATALOGUE"])
+    for name in shown:
+        assert (ROOT / "docs" / "effects" / f"{name}.svg").exists(), "run effects_pictures.py"
+    hysteresis = next(p for p in script["SHOWN"] if p.added.startswith("hysteresis"))
+    *_, lines = script["curves"](hysteresis)
+    (_, x, force) = lines[0]
+    assert -np.trapezoid(force, x) > 0.1  # it takes energy out of the motion
+    assert script["svg"]("hysteresis", "x", "f", lines).startswith("<svg")
 
 
 def test_constraints_are_names_and_versions():

@@ -53,7 +53,7 @@ class Copies:
         if any(model is not models[0] for model in models):
             self._batch.set_models(models)
         self._line = InputLine(plants, clock.substeps, clock.step)
-        self._activations = Activations(models)
+        self._activations = Activations(plants)
         self._sensors = self._batch.bind("sensordata")
         self._addresses = addresses
         self._fresh = np.ones(len(models), dtype=bool)
@@ -86,7 +86,8 @@ class Copies:
         batch, ids = self._batch, None if running.all() else np.flatnonzero(running)
         if batch.model.na and self._fresh.any():
             first = line if line.ndim == 2 else line[:, 0]
-            batch.act[self._fresh] = self._activations.start(first)[self._fresh]
+            started = self._activations.start(first, batch.qpos[:], batch.qvel[:])
+            batch.act[self._fresh] = started[self._fresh]
         self._fresh &= ~running
         with self._engine():
             self._step(line, ids)

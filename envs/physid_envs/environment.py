@@ -192,7 +192,7 @@ class RigEnv(gymnasium.Env[Array, Array]):
         self.data = mujoco.MjData(plant.model)
         self._lawful = fill_tables([plant])
         self._line = InputLine([plant], self._bench.clock.substeps, self._bench.clock.step)
-        self._activations = Activations([plant.model])
+        self._activations = Activations([plant])
 
     def _begin(self, qpos: Array, qvel: Array) -> None:
         mujoco.mj_resetData(self.model, self.data)
@@ -209,7 +209,9 @@ class RigEnv(gymnasium.Env[Array, Array]):
         fresh = ONE if self._count == 0 else ~ONE
         line = self._line.push(inputs[None], fresh)[0]
         if self._count == 0 and self.model.na:
-            self.data.act[:] = self._activations.start(line.reshape(-1, self.model.nu)[:1])[0]
+            first = line.reshape(-1, self.model.nu)[:1]
+            motion = self.data.qpos[None], self.data.qvel[None]
+            self.data.act[:] = self._activations.start(first, *motion)[0]
         with self._engine():
             self._step_engine(inputs, line)
             diverged = self._diverged()

@@ -92,16 +92,18 @@ def _conditioners(plants: Sequence[Plant]) -> list[tuple[int, Placed, Any]]:
 
 
 class Activations:
-    """Where the actuators' activations start, given the first inputs: lags at them.
+    """Where activations start: lags at the first inputs, effects' memories at the motion's start.
 
     Parameters
     ----------
-    models : sequence of mujoco.MjModel
+    plants : sequence of Plant
         One per copy, of one structure.
     """
 
-    def __init__(self, models: Sequence[mujoco.MjModel]) -> None:
+    def __init__(self, plants: Sequence[Plant]) -> None:
+        models = [plant.model for plant in plants]
         first = models[0]
+        self._memories = [e for e in plants[0].elements if e.memory]
         lags = [
             i
             for i in range(first.nactuator)
@@ -119,8 +121,11 @@ class Activations:
         self._low = np.where(limited, ranges[..., 0], -np.inf)
         self._high = np.where(limited, ranges[..., 1], np.inf)
 
-    def start(self, inputs: Array) -> Array:
-        """Return the activations (n, na) at the first inputs (n, nu)."""
+    def start(self, inputs: Array, qpos: Array, qvel: Array) -> Array:
+        """Return the activations (n, na) at first inputs (n, nu), positions and speeds."""
         found = np.zeros((len(inputs), self._size))
         found[:, self._places] = np.clip(inputs[:, self._columns], self._low, self._high)
+        for element in self._memories:
+            own = slice(element.activation, element.activation + len(element.memory))
+            found[:, own] = element.remembered(qpos, qvel)
         return found

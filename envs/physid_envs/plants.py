@@ -91,6 +91,12 @@ def altered(model: Model, parameters: Mapping[str, float], effects: Sequence[str
             f"effects is a list of effects, not one text: write effects=['{effects}']."
         )
     found, free = add_effects(model, effects)
+    sensors = [p for p in found.effects if p.place.kind == "sensor"]
+    if sensors:
+        raise InputError(
+            f"{found.site(sensors[0])} is an effect on records; an environment's sensors are made late "
+            "by its delay and off by its noise and quantisation."
+        )
     missing = [name for name in free if name not in parameters]
     if missing:
         raise InputError(

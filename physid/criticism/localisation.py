@@ -17,7 +17,8 @@ import numpy as np
 from physid.identification.estimate import Estimate
 from physid.identification.linearisation import linearise, project_out
 from physid.identification.problem import Problem, residuals_of, with_activations
-from physid.identification.screening import scales_of, thinned_fit
+from physid.identification.screening import thinned_fit
+from physid.identification.sizes import scales_of
 from physid.plant.model import Model
 from physid.plant.structure import Place
 

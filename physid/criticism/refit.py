@@ -46,8 +46,13 @@ class Base:
     fits: dict[str, Estimate]
     points: dict[str, Reduced]
 
-    def guess(self, problem: Problem, horizon: str) -> Guess:
-        """Return how to linearise a candidate roughly: what it shares with the base is known."""
+    def guess(self, problem: Problem, horizon: str) -> Guess | None:
+        """Return how to linearise a candidate roughly: what it shares with the base is known.
+
+        None where the candidate has a memory that the base has not: its initial states are others.
+        """
+        if problem.model.memory != self.problems[horizon].model.memory:
+            return None
         names = [p.name for p in self.problems[horizon].parameters]
         return partial(extended, self.points[horizon], names, problem)
 
@@ -303,7 +308,7 @@ def _by_balance(inner: Problem, starts: Sequence[Start]) -> list[Start]:
     experiments = list({id(w.experiment): w.experiment for w in inner.windows}.values())
     placed = starts[0].placed
     linear = not any(c.shape or c.fixed for c in placed.effect.coefficients)
-    if not linear or placed.place.kind == "actuator":
+    if not linear or placed.effect.memory or placed.place.kind in ("actuator", "sensor"):
         return []
     if not all(observable(inner.model, e) for e in experiments):
         return []

@@ -13,8 +13,9 @@ from physid.effects.catalogue import add_effects
 from physid.errors import DivergedError, InputError
 from physid.identification.problem import with_activations
 from physid.identification.study import as_model
+from physid.plant.measuring import Rollout
 from physid.plant.model import Model
-from physid.plant.simulation import Hold, Rollout, Simulator
+from physid.plant.simulation import Hold, Simulator
 from physid.plant.stepping import Clock, clock_of
 from physid.record import MSequence, Record, load_record, parse_drive
 

@@ -1,15 +1,16 @@
-"""Actuators: clipping, a dead zone, a pure delay, a first-order lag."""
+"""Actuators: clipping, a dead zone, a pure delay, a first-order lag, an offset."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
 
+from physid.effects.friction import SMALL
+from physid.plant.delays import held_delay, write_delay
 from physid.plant.effect import Coefficient, Effect, Scales, Trial, spec_element
-from physid.plant.model import held_delay, write_delay
 from physid.plant.parameter import element_id
 from physid.plant.structure import Place, Structure
 
@@ -39,12 +40,16 @@ class Saturation(Effect):
 
     def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
         actuator = spec_element(spec, place)
-        limit = values["limit"]
-        if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE:
-            actuator.ctrlrange = _narrowed(actuator.ctrllimited, actuator.ctrlrange, limit)
+        limit, bias = values["limit"], actuator.biastype != mujoco.mjtBias.mjBIAS_NONE
+        feedback = bias and (not _has_offset(actuator) or bool(np.any(actuator.biasprm[1:3])))
+        if not feedback:
+            offset = float(actuator.biasprm[0] / actuator.gainprm[0]) if bias else 0.0
+            limits = (-limit - offset, limit - offset)
+            actuator.ctrlrange = _narrowed(actuator.ctrllimited, actuator.ctrlrange, limits)
             actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE
         else:
-            actuator.forcerange = _narrowed(actuator.forcelimited, actuator.forcerange, limit)
+            limits = (-limit, limit)
+            actuator.forcerange = _narrowed(actuator.forcelimited, actuator.forcerange, limits)
             actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
 
     def trials(self, scales: Scales) -> Sequence[Trial]:
@@ -60,13 +65,21 @@ class Saturation(Effect):
         return {"limit": trial.columns[0]["limit"]}
 
 
-def _narrowed(limited: int, given: Sequence[float], limit: float) -> list[float]:
-    """Return the part of a range, if there is one, that lies within -limit to limit."""
+def _narrowed(
+    limited: int, given: Sequence[float], limits: tuple[float, float]
+) -> tuple[float, float]:
+    """Return the part of a range, if there is one, that lies within limits."""
     low, high = given
     auto = limited == mujoco.mjtLimited.mjLIMITED_AUTO and low < high
     if limited == mujoco.mjtLimited.mjLIMITED_TRUE or auto:
-        return [max(low, -limit), min(high, limit)]
-    return [-limit, limit]
+        return max(low, limits[0]), min(high, limits[1])
+    return limits
+
+
+def _has_offset(actuator: Any) -> bool:
+    """Say whether an actuator's constant bias can stand for an offset of its input."""
+    fixed = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED and actuator.gainprm[0] != 0.0
+    return bool(fixed and actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE)
 
 
 class DeadZone(Effect):
@@ -167,3 +180,46 @@ class ActuatorLag(Effect):
     def start(self, trial: Trial, amplitudes: np.ndarray, scales: Scales) -> dict[str, float]:
         size = trial.columns[0]["time_constant"]
         return {"time_constant": size * float(np.clip(amplitudes[0], 0.2, 3.0))}
+
+
+class InputOffset(Effect):
+    """An input that is off by a constant, as an amplifier's or converter's zero is: u + offset.
+
+    It is added before the input's limits, if the actuator has any.  On a motor without limits it acts
+    as a constant force of gear times gain times offset on what the motor drives.
+    """
+
+    name = "input_offset"
+    family = "actuation"
+    law = "u + offset"
+    source = "Janot, Gautier, Brunot, EMPS benchmark (2019), section 2; MuJoCo actuator bias"
+    kinds = ("actuator",)
+    searched = False
+    coefficients = (
+        Coefficient(name="offset", unit="{x}", meaning="added to the input", lower=-np.inf),
+    )
+
+    def possible(self, model: mujoco.MjModel, structure: Structure, place: Place) -> bool:
+        if place.name not in structure.inputs:
+            return False
+        i = element_id(model, place)
+        dynamics = (mujoco.mjtDyn.mjDYN_NONE, mujoco.mjtDyn.mjDYN_FILTER)
+        return bool(
+            model.actuator_dyntype[i] in [int(d) for d in dynamics]
+            and model.actuator_gaintype[i] == int(mujoco.mjtGain.mjGAIN_FIXED)
+            and model.actuator_gainprm[i, 0]
+            and model.actuator_biastype[i] <= int(mujoco.mjtBias.mjBIAS_AFFINE)
+        )
+
+    def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
+        actuator, offset = spec_element(spec, place), values["offset"]
+        if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE:
+            actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+            actuator.biasprm[:] = 0.0
+        actuator.biasprm[0] += actuator.gainprm[0] * offset
+        low, high = actuator.ctrlrange
+        if actuator.ctrllimited != mujoco.mjtLimited.mjLIMITED_FALSE and low < high:
+            actuator.ctrlrange = (low - offset, high - offset)
+
+    def trials(self, scales: Scales) -> Sequence[Trial]:
+        return (Trial(columns=({"offset": SMALL * scales.largest},)),)

@@ -10,7 +10,7 @@ from typing import Any
 
 import mujoco
 
-from physid.effects.actuation import ActuatorLag, DeadZone, InputDelay, Saturation
+from physid.effects.actuation import ActuatorLag, DeadZone, InputDelay, InputOffset, Saturation
 from physid.effects.aerodynamics import Aerodynamics
 from physid.effects.elasticity import CubicStiffness, LinearStiffness
 from physid.effects.friction import (
@@ -20,8 +20,11 @@ from physid.effects.friction import (
     StribeckFriction,
     ViscousDamping,
 )
-from physid.effects.structure import AddedInertia, ConstantLoad, GravityImbalance
-from physid.effects.transmission import Backlash, Cogging
+from physid.effects.hysteresis import Hysteresis
+from physid.effects.sensing import SensorDelay, SensorLag, SensorOffset
+from physid.effects.structure import AddedInertia, ConstantLoad, GravityImbalance, UnmodelledMode
+from physid.effects.transmission import Backlash, Cogging, Coupling
+from physid.effects.variation import StiffnessChange, SwitchedDamping
 from physid.errors import InputError, ModelError, available
 from physid.plant.effect import Effect, Placed
 from physid.plant.loading import read_spec
@@ -46,6 +49,15 @@ CATALOGUE: tuple[Effect, ...] = (
     DeadZone(),
     InputDelay(),
     ActuatorLag(),
+    InputOffset(),
+    Coupling(),
+    SensorOffset(),
+    SensorLag(),
+    SensorDelay(),
+    StiffnessChange(),
+    SwitchedDamping(),
+    UnmodelledMode(),
+    Hysteresis(),
 )
 
 RIG_LAWS: tuple[Effect, ...] = (Aerodynamics(),)
@@ -54,13 +66,15 @@ RIG_LAWS: tuple[Effect, ...] = (Aerodynamics(),)
 LINEAR = {"f": "N", "x": "m", "v": "m/s", "m": "kg"}
 ANGULAR = {"f": "N m", "x": "rad", "v": "rad/s", "m": "kg m^2"}
 SIGNAL = {"f": "unit of u", "x": "unit of u", "v": "unit of u per s", "m": "1"}
+READING = {"f": "unit of y", "x": "unit of y", "v": "unit of y per s", "m": "1"}
 UNITS = {
     "joint": (LINEAR, ANGULAR),
     "tendon": (LINEAR, ANGULAR),
     "hinge": (ANGULAR,),
     "body": (LINEAR, ANGULAR),
+    "two joints": (LINEAR, ANGULAR),
     "actuator": (SIGNAL,),
-    "sensor": (SIGNAL,),
+    "sensor": (READING,),
 }
 """Units of force, position, speed and inertia at every kind of place."""
 
@@ -85,7 +99,7 @@ def places_of(effect: Effect, model: mujoco.MjModel, structure: Structure) -> li
     """List the places of a model where an effect can sit."""
     return [
         place
-        for place in structure.places
+        for place in (*structure.places, *structure.pairs)
         if place.kind in effect.kinds
         and _right_joint(effect, structure, place)
         and effect.possible(model, structure, place)
@@ -240,7 +254,8 @@ def describe(effect: Effect) -> dict[str, Any]:
 
     A parameter's ``unit`` is that of every kind of place where the effect can sit: ``N or N m``.
     """
-    places = ["hinge" if k == "joint" and effect.hinge_only else k for k in effect.kinds]
+    words = {"pair": "two joints"} | ({"joint": "hinge"} if effect.hinge_only else {})
+    places = [words.get(k, k) for k in effect.kinds]
     systems = [system for place in places for system in UNITS[place]]
     return {
         "name": effect.name,
@@ -257,6 +272,7 @@ def describe(effect: Effect) -> dict[str, Any]:
         ],
         "source": effect.source,
         "representation": effect.representation,
+        "searched": effect.searched,
         "description": (type(effect).__doc__ or "").split("\n\n")[0].strip(),
     }
 

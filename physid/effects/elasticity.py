@@ -11,7 +11,7 @@ from physid.effects.friction import SMALL
 from physid.effects.native import edit_entry
 from physid.plant.effect import Coefficient, Effect, Scales, Trial
 from physid.plant.parameter import element_id
-from physid.plant.structure import Place, Structure
+from physid.plant.structure import Place, Structure, tendon_row
 
 
 class CubicStiffness(Effect):
@@ -60,3 +60,16 @@ def stiffness_of(model: mujoco.MjModel, place: Place) -> float:
     """Return the linear stiffness the model has at a joint or tendon [N/m or N m/rad]."""
     array = model.jnt_stiffness if place.kind == "joint" else model.tendon_stiffness
     return float(array[element_id(model, place)])
+
+
+def spring_coordinate(model: mujoco.MjModel, place: Place) -> tuple[np.ndarray, float] | None:
+    """Return the coordinate of a joint's or tendon's spring: a row (nv,) and where it is relaxed.
+
+    None for a tendon that is not made of joints alone.
+    """
+    i = element_id(model, place)
+    if place.kind == "joint":
+        dof, rest = model.jnt_dofadr[i], model.qpos_spring[model.jnt_qposadr[i]]
+        return np.eye(model.nv)[dof], float(rest)
+    row = tendon_row(model, i)
+    return None if row is None else (row, float(model.tendon_lengthspring[i].mean()))

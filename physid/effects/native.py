@@ -5,10 +5,8 @@ from __future__ import annotations
 import mujoco
 
 from physid.plant.effect import spec_element
+from physid.plant.memory import NO_INPUT
 from physid.plant.structure import Place
-
-NO_INPUT = 16
-"""The engine's ``ctrlspec`` of an actuator with ``input="none"``."""
 
 
 def edit_entry(spec: mujoco.MjSpec, place: Place, attribute: str, order: int, value: float) -> None:

@@ -1,8 +1,9 @@
-"""Loads and inertia that the model lacks: a constant force, an unbalanced mass, added inertia."""
+"""What hangs on a body: a constant force, an unbalanced mass, added inertia, a mass on a spring."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -10,8 +11,9 @@ import numpy as np
 from physid.effects.friction import SMALL
 from physid.effects.native import add_passive_force
 from physid.effects.transmission import in_proportion, polar
-from physid.plant.effect import Coefficient, Effect, Scales, Trial, spec_element
-from physid.plant.structure import Place
+from physid.plant.effect import Coefficient, Effect, Element, Scales, Trial, spec_element
+from physid.plant.law import memory_law
+from physid.plant.structure import Place, Structure, body_row
 
 
 class ConstantLoad(Effect):
@@ -79,3 +81,77 @@ class AddedInertia(Effect):
 
     def trials(self, scales: Scales) -> Sequence[Trial]:
         return (Trial(columns=({"armature": SMALL * scales.force / scales.acceleration},)),)
+
+
+@memory_law
+def hanging_mass(x, v, t, p, z, part):  # type: ignore[no-untyped-def]
+    """Force on a body of a mass p0 on a spring p1 and damper p2; z are the mass's place and speed."""
+    force = p[1] * (z[0] - x) + p[2] * (z[1] - v)
+    if part == 0:
+        return force
+    return z[1] if part == 1 else -force / p[0]
+
+
+class UnmodelledMode(Effect):
+    """A mass on a spring and damper that hangs on a body: a payload, a sloshing tank, a loose cover.
+
+    It moves along the axis of the body's last joint if that is a slide, and turns about it, as an
+    inertia, if it is a hinge; its weight is taken to be in the model.  The axis is the one at the
+    model's reference position.
+    """
+
+    name = "unmodelled_mode"
+    family = "structure"
+    law = "f = k (s - x) + d (s' - v), m s'' = -f"
+    source = "Den Hartog, Mechanical vibrations (1956), ch. 3: the dynamic absorber"
+    kinds = ("body",)
+    representation = "runtime"
+    searched = False
+    memory = ("position", "speed")
+    coefficients = (
+        Coefficient(
+            name="mass", unit="{m}", meaning="mass (inertia on a hinge)", lower=1e-12, shape=True
+        ),
+        Coefficient(name="stiffness", unit="{f}/{x}", meaning="of its spring", shape=True),
+        Coefficient(name="damping", unit="{f}/({v})", meaning="of its damper", shape=True),
+    )
+    frequencies: ClassVar[tuple[float, ...]] = (0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.7, 8.0, 11.0, 16.0)
+    ratio: ClassVar[float] = 0.05
+
+    def possible(self, model: mujoco.MjModel, structure: Structure, place: Place) -> bool:
+        return structure.nq == structure.nv and body_row(model, place.name) is not None
+
+    def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
+        """Nothing: the law is a run-time one."""
+
+    def elements(
+        self, model: mujoco.MjModel, place: Place, values: Mapping[str, float]
+    ) -> tuple[Element, ...]:
+        row = body_row(model, place.name)
+        assert row is not None
+        return (
+            Element(
+                address=hanging_mass.address,
+                row=row,
+                offset=0.0,
+                constants=np.array([values["mass"], values["stiffness"], values["damping"]]),
+                memory=self.memory,
+            ),
+        )
+
+    def trials(self, scales: Scales) -> Sequence[Trial]:
+        slowest, mass = scales.speed / scales.position, SMALL * scales.force / scales.acceleration
+        found = []
+        for share in self.frequencies:
+            w = share * slowest
+            column = {
+                "mass": mass,
+                "stiffness": mass * w**2,
+                "damping": 2.0 * self.ratio * mass * w,
+            }
+            found.append(Trial(columns=(column,), label=f"{w:.3g} rad/s"))
+        return tuple(found)
+
+    def start(self, trial: Trial, amplitudes: np.ndarray, scales: Scales) -> dict[str, float]:
+        size = max(float(amplitudes[0]), 0.1)
+        return {name: size * value for name, value in trial.columns[0].items()}

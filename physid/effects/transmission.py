@@ -1,4 +1,4 @@
-"""Transmission: play in a spring, and cogging of a motor."""
+"""Transmission: play in a spring, cogging of a motor, and a spring between two joints."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from physid.effects.elasticity import stiffness_of
+from physid.effects.elasticity import spring_coordinate, stiffness_of
 from physid.effects.friction import SMALL
 from physid.effects.native import add_passive_force
 from physid.plant.effect import Coefficient, Effect, Element, Scales, Trial
 from physid.plant.law import force_law
 from physid.plant.parameter import element_id
-from physid.plant.structure import Place, Structure, tendon_row
+from physid.plant.structure import Place, Structure, pair_row, tendon_row
 
 LARGEST_RIPPLE = 5.0
 """Largest periodic force, relative to the rms force at its place; more only imitates a bent spring."""
@@ -51,9 +51,7 @@ class Backlash(Effect):
     fractions: ClassVar[tuple[float, ...]] = (0.05, 0.25, 0.8, 1.6)
 
     def possible(self, model: mujoco.MjModel, structure: Structure, place: Place) -> bool:
-        if place.kind == "tendon" and tendon_row(model, element_id(model, place)) is None:
-            return False
-        return stiffness_of(model, place) > 0.0
+        return spring_coordinate(model, place) is not None and stiffness_of(model, place) > 0.0
 
     def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
         """Nothing: the law is a run-time correction."""
@@ -61,15 +59,11 @@ class Backlash(Effect):
     def elements(
         self, model: mujoco.MjModel, place: Place, values: Mapping[str, float]
     ) -> tuple[Element, ...]:
-        i = element_id(model, place)
-        if place.kind == "joint":
-            row = np.eye(model.nv)[model.jnt_dofadr[i]]
-            offset, damping = float(model.qpos_spring[model.jnt_qposadr[i]]), 0.0
-        else:
-            found = tendon_row(model, i)
-            assert found is not None
-            row, offset = found, float(model.tendon_lengthspring[i].mean())
-            damping = float(model.tendon_damping[i])
+        coordinate = spring_coordinate(model, place)
+        assert coordinate is not None
+        row, offset = coordinate
+        tendon = place.kind == "tendon"
+        damping = float(model.tendon_damping[element_id(model, place)]) if tendon else 0.0
         constants = np.array([stiffness_of(model, place), damping, values["gap"]])
         edges = (-0.5 * values["gap"], 0.5 * values["gap"])
         return (
@@ -132,6 +126,62 @@ class Cogging(Effect):
     def start(self, trial: Trial, amplitudes: np.ndarray, scales: Scales) -> dict[str, float]:
         size, phase = polar(trial.columns[0]["amplitude"] * amplitudes)
         return {"amplitude": size, "periods": trial.columns[0]["periods"], "phase": phase}
+
+
+class Coupling(Effect):
+    """A spring and damper between two joints: f = -k (q1 - q2) - d (v1 - v2), and its reaction.
+
+    A cable, a hose, a common bracket.  It acts on the difference of the joints' coordinates, both
+    hinges or both slides, and is relaxed where the two are equal.
+    """
+
+    name = "coupling"
+    family = "transmission"
+    law = "-k (q1 - q2) - d (v1 - v2)"
+    source = "Meirovitch, Fundamentals of vibrations (2001), ch. 7; MuJoCo fixed tendon"
+    kinds = ("pair",)
+    searched = False
+    coefficients = (
+        Coefficient(name="stiffness", unit="{f}/{x}", meaning="force per relative displacement"),
+        Coefficient(name="damping", unit="{f}/({v})", meaning="force per relative speed"),
+    )
+
+    def possible(self, model: mujoco.MjModel, structure: Structure, place: Place) -> bool:
+        row = pair_row(model, place.name)
+        known = (tendon_row(model, i) for i in range(model.ntendon) if _pulls(model, i))
+        return not any(k is not None and _parallel(row, k) for k in known)
+
+    def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
+        name = f"{self.name}@{place.name}"
+        while spec.tendon(name) is not None:
+            name += "+"  # a refined file may be refined again
+        tendon = spec.add_tendon(name=name)
+        for joint, coefficient in zip(place.name.split(","), (1.0, -1.0), strict=True):
+            tendon.wrap_joint(joint, coefficient)
+        tendon.stiffness[0], tendon.damping[0] = values["stiffness"], values["damping"]
+        tendon.springlength[:] = 0.0
+
+    def trials(self, scales: Scales) -> Sequence[Trial]:
+        stiffness = SMALL * scales.force / scales.position
+        damping = SMALL * scales.force / scales.speed
+        return (
+            Trial(
+                columns=(
+                    {"stiffness": stiffness, "damping": 0.0},
+                    {"stiffness": 0.0, "damping": damping},
+                )
+            ),
+        )
+
+
+def _pulls(model: mujoco.MjModel, tendon: int) -> bool:
+    """Say whether a tendon is a spring or a damper."""
+    return bool(model.tendon_stiffness[tendon] > 0.0 or model.tendon_damping[tendon] > 0.0)
+
+
+def _parallel(one: np.ndarray, other: np.ndarray) -> bool:
+    """Say whether two rows (nv,) are multiples of each other."""
+    return bool(abs(one @ other) >= (1.0 - 1e-9) * np.linalg.norm(one) * np.linalg.norm(other) > 0)
 
 
 def in_proportion(amplitude: float, scales: Scales) -> bool:

@@ -13,7 +13,7 @@ from physid.errors import RecordError, available
 from physid.plant.model import Model
 from physid.plant.parameter import element_id
 from physid.plant.simulation import Ranges
-from physid.plant.structure import Place, Structure, tendon_row
+from physid.plant.structure import Place, Structure, sensor_rows
 from physid.record import Record, load_record
 
 
@@ -155,30 +155,13 @@ class Kinematics:
 
 def kinematics_of(model: Model, channels: np.ndarray) -> Kinematics:
     """Read from the sensors' types which channels are joint or tendon positions and speeds."""
-    import mujoco
-
     compiled, structure = model.nominal, model.structure
-    nv = structure.nv
-    position, speed = np.zeros((len(channels), nv)), np.zeros((len(channels), nv))
-    kinds = mujoco.mjtSensor
-    rows = {
-        int(kinds.mjSENS_JOINTPOS): (position, "joint"),
-        int(kinds.mjSENS_JOINTVEL): (speed, "joint"),
-        int(kinds.mjSENS_TENDONPOS): (position, "tendon"),
-        int(kinds.mjSENS_TENDONVEL): (speed, "tendon"),
-    }
+    position, speed = np.zeros((2, len(channels), structure.nv))
     for r, k in enumerate(channels):
-        i = element_id(compiled, Place("sensor", structure.channels[k].sensor))
-        if int(compiled.sensor_type[i]) not in rows:
-            continue
-        target, kind = rows[int(compiled.sensor_type[i])]
-        obj = int(compiled.sensor_objid[i])
-        if kind == "joint":
-            target[r, compiled.jnt_dofadr[obj]] = 1.0
-        else:
-            row = tendon_row(compiled, obj)
-            if row is not None:
-                target[r] = row
+        sensor = element_id(compiled, Place("sensor", structure.channels[k].sensor))
+        rows = sensor_rows(compiled, sensor)
+        if rows is not None:
+            position[r], speed[r] = rows
     return Kinematics(position, speed, np.zeros(len(channels)))
 
 

@@ -24,6 +24,7 @@ from physid.identification.problem import Problem
 from physid.plant.assembly import assemble, network_of, rates_of
 from physid.plant.callback import run_time_laws
 from physid.plant.family import Family
+from physid.plant.memory import beyond_motion
 from physid.plant.model import Model, Plant
 from physid.plant.network import Network
 from physid.plant.parameter import Parameter
@@ -76,8 +77,10 @@ class Balance:
 
 
 def observable(model: Model, experiment: Experiment) -> bool:
-    """Say whether the record shows every joint's position (as hinges and slides only)."""
+    """Say whether the record shows all that forces depend on: every joint's position, and no more."""
     structure = model.structure
+    if beyond_motion(model.effects):
+        return False
     kin = kinematics_of(model, experiment.channels)
     return bool(
         structure.nq == structure.nv

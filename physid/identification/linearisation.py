@@ -350,9 +350,13 @@ def state_scales(model: Model, states: list[np.ndarray]) -> np.ndarray:
     """Return typical sizes of the free initial states (nx,)."""
     free = state_indices(model)
     scales = np.abs(np.concatenate(states)[:, free]).max(axis=0)
-    half = len(free) // 2
-    for part in (slice(0, half), slice(half, None)):
+    half = len(model.structure.joints)
+    parts = {"position": slice(0, half), "speed": slice(half, 2 * half)}
+    for part in parts.values():
         scales[part] = np.maximum(scales[part], 1e-2 * scales[part].max(initial=0.0))
+    for k, kind in enumerate(model.memory, start=2 * half):
+        like = scales[parts[kind]].max(initial=0.0) if kind in parts else 1.0
+        scales[k] = max(scales[k], like)
     return np.asarray(np.maximum(scales, 1e-9))
 
 

@@ -81,6 +81,7 @@ def minimise(
     """
     theta = problem.start() if theta is None else theta.copy()
     states = problem.states() if states is None else [x.copy() for x in states]
+    states = problem.completed(theta, states)
     residuals = residuals_of(problem, [theta], [states])[0]
     chi2 = _chi2(problem, theta, residuals)
     if not np.isfinite(chi2):

@@ -10,10 +10,12 @@ import numpy as np
 
 from physid.identification.windows import Windows, initial_states
 from physid.plant.compiling import kept
+from physid.plant.effect import Element
 from physid.plant.family import Family, family_of
 from physid.plant.model import Model, Plant
 from physid.plant.parameter import Parameter
 from physid.plant.simulation import Simulator
+from physid.plant.structure import Structure
 
 FILTER = int(mujoco.mjtDyn.mjDYN_FILTER)
 INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
@@ -85,12 +87,31 @@ class Problem:
         return np.array([p.value for p in self.parameters])
 
     def states(self) -> list[np.ndarray]:
-        """Guess the windows' initial states from the measurement."""
-        return [initial_states(self.model, w) for w in self.windows]
+        """Guess the windows' initial states from the measurement, (w, nq + nv + memory) each."""
+        return self.completed(self.start(), [initial_states(self.model, w) for w in self.windows])
+
+    def completed(self, theta: np.ndarray, states: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Give states that lack it the memory of the model's effects, as it is where nothing is known."""
+        first, size = self.model.structure.nq + self.model.structure.nv, len(self.model.memory)
+        if all(x.shape[1] == first + size for x in states):
+            return list(states)
+        elements = self.plant(theta, self.windows[0].simulator.step).elements
+        return [with_memory(elements, self.model.structure, x) for x in states]
 
     def measurements(self) -> int:
         """Return the number of measured numbers."""
         return sum(len(w.starts) * w.samples for w in self.windows) * len(self.sigma)
+
+
+def with_memory(
+    elements: Sequence[Element], structure: Structure, states: np.ndarray
+) -> np.ndarray:
+    """Append the part of the effects' memory that states (w, nq + nv + ...) lack."""
+    nq, nv = structure.nq, structure.nv
+    position, speed = states[:, :nq], states[:, nq : nq + nv]
+    starts = [e.remembered(position, speed) for e in elements if e.memory]
+    known = states.shape[1] - nq - nv
+    return np.hstack([states, np.hstack([states[:, :0], *starts])[:, known:]])
 
 
 def with_activations(
@@ -99,7 +120,8 @@ def with_activations(
     """Append the actuators' activations at the windows' starts to the states.
 
     An actuator's activation follows from the input alone: a first-order one starts the record at its
-    first input, an integrating one at zero.
+    first input, an integrating one at zero.  Those that are effects' memory are states themselves, or
+    start as :meth:`physid.plant.effect.Element.remembered` says.
 
     Returns
     -------
@@ -124,7 +146,15 @@ def with_activations(
             keep = np.exp(-model.opt.timestep / plant.time_constants[i])
             path = lfilter([0.0, 1.0 - keep], [1.0, -keep], u, zi=[u[0]])[0]
         activations[:, model.actuator_actadr[i]] = path[starts * substeps]
-    return np.hstack([states, activations])
+    motion = states[:, : model.nq + model.nv]
+    memory = states[:, motion.shape[1] :]
+    for element in (e for e in plant.elements if e.memory):
+        own, size = element.activation, len(element.memory)
+        known, memory = memory[:, :size], memory[:, size:]
+        if not known.shape[1]:
+            known = element.remembered(motion[:, : model.nq], motion[:, model.nq :])
+        activations[:, own : own + size] = known
+    return np.hstack([motion, activations])
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,6 +28,7 @@ from physid.identification.study import Options, as_model, experiments_of
 from physid.identification.varying import Interval, conic, free, smooth_weight
 from physid.plant.model import Model
 from physid.plant.parameter import Parameter
+from physid.plant.requirements import require_motion_alone
 
 KINDS = ("free", "step", "smooth", "variation", "levels", "line")
 """Ways a parameter may vary; ``levels`` and ``line`` need a variable."""
@@ -141,6 +142,7 @@ def fit_regression(
     """
     options = options or Options()
     loaded, added = add_effects(as_model(model), options.add)
+    require_motion_alone(loaded, "A fit by the equations of motion")
     experiments = experiments_of(loaded, records, options)
     if varying and len(experiments) > 1:
         raise InputError(

@@ -11,25 +11,24 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import mujoco
 import numpy as np
 
 from physid.effects.catalogue import CATALOGUE, places_of
 from physid.errors import ModelError
 from physid.identification.estimate import Estimate
 from physid.identification.linearisation import Linearisation, linearise
-from physid.identification.problem import Problem, residuals_of, with_activations
-from physid.plant.callback import run_time_laws
+from physid.identification.problem import Problem, residuals_of
+from physid.identification.sizes import scales_of
 from physid.plant.effect import Effect, Placed, Scales, Trial
 from physid.plant.parameter import element_id
-from physid.plant.structure import Place, tendon_row
+from physid.plant.structure import Place
 
-PROBES = 400
-"""Instants at which forces are looked at to size the candidates."""
 MANY = 16
 """Shapes of an effect from which on they are tried on a third of the windows first."""
 KEPT = 10
 """... and so many on all."""
+CLOSER = 3
+"""Times that shapes are looked for around the best one."""
 FEWEST_WINDOWS = 4
 """Windows from which on a third of them tells shapes apart."""
 MOST_SAMPLES = 12000
@@ -54,12 +53,12 @@ class Scored:
 
 
 def possible_candidates(problem: Problem) -> list[tuple[Effect, Place]]:
-    """List every effect at every place it can sit, but for those the model already has free."""
+    """List every searched effect at every place it can sit, but for those the model has free already."""
     model = problem.model
     structure = model.structure
     freed = {p.name for p in problem.parameters}
     found = []
-    for effect in CATALOGUE:
+    for effect in (e for e in CATALOGUE if e.searched):
         for place in places_of(effect, model.nominal, structure):
             own = f"{structure.label(place)}.{effect.contained_in}"
             present = any(p.effect.name == effect.name and p.place == place for p in model.effects)
@@ -84,100 +83,6 @@ def _inertia_is_free(effect: Effect, place: Place, problem: Problem) -> bool:
     slide = not model.structure.joint(place.name).hinge
     names = {p.name for p in problem.parameters}
     return f"{label}.inertia" in names or (slide and f"{label}.mass" in names)
-
-
-def scales_of(problem: Problem, estimate: Estimate) -> dict[Place, Scales]:
-    """Measure how large motion, force and input are at every place, along the fitted windows."""
-    model = problem.model
-    structure = model.structure
-    states, inputs = _visited(problem, estimate)
-    plant = problem.plant(estimate.theta, problem.windows[0].simulator.step)
-    data = mujoco.MjData(plant.model)
-    nv = structure.nv
-    acceleration, force = np.empty((len(states), nv)), np.empty((len(states), nv, 4))
-    mass = np.zeros((nv, nv))
-    with run_time_laws([plant]):
-        for i, (x, u) in enumerate(zip(states, inputs, strict=True)):
-            data.qpos[:] = x[: structure.nq]
-            data.qvel[:] = x[structure.nq : structure.nq + nv]
-            if plant.model.nu:
-                data.ctrl[:] = u
-            if plant.model.na:
-                data.act[:] = x[structure.nq + nv :]
-            mujoco.mj_forward(plant.model, data)
-            mujoco.mj_fullM(plant.model, data, mass)
-            acceleration[i] = data.qacc
-            force[i] = np.column_stack(
-                [mass @ data.qacc, data.qfrc_actuator, data.qfrc_passive, data.qfrc_bias]
-            )
-    size = np.sqrt(np.mean(force**2, axis=0)).max(axis=1)
-    size = np.maximum(size, 1e-3 * size.max() + 1e-300)
-    dt = problem.windows[0].experiment.dt
-    found: dict[Place, Scales] = {}
-    for joint in structure.joints:
-        rest = plant.model.qpos_spring[joint.qpos]
-        found[Place("joint", joint.name)] = _scales(
-            states[:, joint.qpos] - rest,
-            states[:, structure.nq + joint.dof],
-            acceleration[:, joint.dof],
-            float(size[joint.dof]),
-            dt,
-        )
-    for place in structure.of_kind("tendon"):
-        i = element_id(plant.model, place)
-        row = tendon_row(plant.model, i)
-        if row is None or structure.nq != nv:
-            continue
-        length = states[:, :nv] @ row - plant.model.tendon_lengthspring[i].mean()
-        used = np.abs(row) > 0
-        found[place] = _scales(
-            length,
-            states[:, nv : 2 * nv] @ row,
-            acceleration @ row,
-            float(np.min(size[used] / np.abs(row[used]))),
-            dt,
-        )
-    for k, name in enumerate(structure.inputs):
-        u = np.concatenate([w.experiment.inputs[:, k] for w in problem.windows])
-        place = Place("actuator", name)
-        if place in structure.places:
-            found[place] = _scales(u, u, u, 1.0, dt)
-    return found
-
-
-def _scales(x: np.ndarray, v: np.ndarray, a: np.ndarray, force: float, dt: float) -> Scales:
-    def rms(z: np.ndarray) -> float:
-        return float(np.sqrt(np.mean(z**2))) or 1e-12
-
-    return Scales(
-        position=rms(x),
-        speed=rms(v),
-        acceleration=rms(a),
-        force=force,
-        travel=float(np.ptp(x)),
-        largest=float(np.abs(x).max()) or 1e-12,
-        dt=dt,
-    )
-
-
-def _visited(problem: Problem, estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
-    """Return some states (n, nx) of the fitted windows and the inputs at them (n, nu)."""
-    states, inputs = [], []
-    for e, windows in enumerate(problem.windows):
-        simulator, experiment = windows.simulator, windows.experiment
-        plant = problem.plant(estimate.theta, simulator.step)
-        controls = simulator.controls([plant], experiment.inputs)
-        initial = with_activations(
-            plant, controls[0], estimate.states[e], windows.starts, simulator.substeps
-        )
-        run = simulator.run([plant], [initial], controls, windows.starts, windows.samples)[0]
-        flat = run.states.reshape(-1, run.states.shape[2])
-        rows = (windows.starts[:, None] + np.arange(windows.samples)).ravel()
-        good = np.flatnonzero(np.isfinite(flat).all(axis=1))
-        picked = good[:: max(1, len(good) // PROBES)]
-        states.append(flat[picked])
-        inputs.append(experiment.inputs[rows[picked]])
-    return np.concatenate(states), np.concatenate(inputs)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -269,6 +174,10 @@ def screen(
         if place in ground.scales:
             trials = _promising(sketch, effect, place, effect.trials(ground.scales[place]))
             own = sorted(_scores(ground, effect, place, trials), key=lambda s: -s[0])
+            for level in range(1, CLOSER + 1 if own else 0):
+                more = effect.closer(own[0][1], ground.scales[place], level)
+                found_closer = _scores(ground, effect, place, more) if more else []
+                own = sorted([*own, *found_closer], key=lambda s: -s[0])
             found += [_started(ground, effect, place, *s) for s in own[:per_effect]]
     return sorted(found, key=lambda s: -s.gain)
 

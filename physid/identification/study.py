@@ -299,7 +299,8 @@ def _with_scale(model: Model, parameter: Parameter) -> Parameter:
 
 
 def _check_rows(problem: Problem) -> None:
-    unknown = len(problem.parameters) + sum(2 * problem.model.structure.nv for _ in problem.windows)
+    states = 2 * problem.model.structure.nv + len(problem.model.memory)
+    unknown = len(problem.parameters) + states * len(problem.windows)
     if problem.measurements() <= unknown:
         path = problem.windows[0].experiment.path
         raise RecordError(

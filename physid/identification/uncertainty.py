@@ -152,4 +152,5 @@ def bartlett(scores: np.ndarray, width: int) -> np.ndarray:
 
 
 def _free_states(problem: Problem) -> int:
-    return sum(len(w.starts) for w in problem.windows) * 2 * problem.model.structure.nv
+    each = 2 * problem.model.structure.nv + len(problem.model.memory)
+    return sum(len(w.starts) for w in problem.windows) * each

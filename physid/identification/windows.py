@@ -153,8 +153,9 @@ def moves(rows: np.ndarray) -> np.ndarray:
 
 
 def state_indices(model: Model) -> np.ndarray:
-    """Return which entries of (qpos, qvel) are estimated: those of hinges and slides."""
+    """Return which entries of (qpos, qvel, memory) are estimated: those of hinges and slides, all memory."""
     structure = model.structure
     positions = [j.qpos for j in structure.joints]
     speeds = [structure.nq + j.dof for j in structure.joints]
-    return np.array(positions + speeds)
+    first = structure.nq + structure.nv
+    return np.array(positions + speeds + list(range(first, first + len(model.memory))))

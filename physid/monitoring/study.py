@@ -21,6 +21,7 @@ from physid.monitoring.patterns import Pattern, compare_patterns
 from physid.monitoring.recursion import SlidingEstimate
 from physid.monitoring.result import SHOWN, MonitorResult, Track
 from physid.plant.model import Model
+from physid.plant.requirements import require_motion_alone
 
 Progress = Callable[[str, float], None]
 LONGEST = 50_000
@@ -80,6 +81,7 @@ def monitor(
     """
     told = progress or (lambda _stage, _fraction: None)
     loaded = model if isinstance(model, Model) else load_model(model)
+    require_motion_alone(loaded, "Monitoring")
     _check(watch, alarm)
     told("Reading the record", 0.0)
     experiment = as_experiment(loaded, record, rename)

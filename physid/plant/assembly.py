@@ -35,6 +35,8 @@ def assemble(parts):  # type: ignore[no-untyped-def]  # noqa: C901 - three kinds
     na, nu = 0, parts.limits.shape[0]
     for a in parts.actuators:
         na = max(na, int(a[11]) + 1)
+    for e in range(len(parts.law_memories)):
+        na = max(na, parts.law_memories[e, 0] + parts.law_memories[e, 1])
     linear = np.zeros((nv + na, 1 + 2 * nv + na + nu))
     for i in range(nv):
         for j in range(nv):
@@ -115,6 +117,8 @@ def assemble(parts):  # type: ignore[no-untyped-def]  # noqa: C901 - three kinds
         parts.law_limits,
         parts.law_frictions,
         parts.law_edges,
+        parts.law_edge_kinds,
+        parts.law_memories,
     )
 
 

@@ -1,7 +1,8 @@
 """Run-time force laws inside the engine: one compiled passive-force callback.
 
 MuJoCo calls ``mjcb_passive(model, data)`` at every evaluation, so laws are integrated by the engine
-itself, RK4 stages included.  The callback reads its laws from a table at the end of the model's
+itself, RK4 stages included; so are their memories, activations whose rates it asks from
+``mjcb_act_dyn(model, data, actuator)``.  The callbacks read its laws from a table at the end of the model's
 numeric data.  Where MuJoCo keeps its arrays is found by scanning the structs of a probe model, so
 no layout is assumed; a number drawn afresh in each process marks the tables, so a table in a file
 from elsewhere is never obeyed.
@@ -14,7 +15,7 @@ import threading
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -24,8 +25,8 @@ from numba import carray, types  # type: ignore[attr-defined]
 from numba.extending import intrinsic
 
 from physid.errors import NumericsError
-from physid.plant.compiling import kept_c_function
-from physid.plant.law import call_law, pointer_at
+from physid.plant.compiling import kept, kept_c_function
+from physid.plant.law import call_law, call_memory_law, pointer_at
 from physid.plant.model import ELEMENT_WIDTH, JOINT_WIDTH, Plant
 
 _MARK = ctypes.c_double()
@@ -43,9 +44,9 @@ def _own_mark(typingctx):  # type: ignore[no-untyped-def]
     return types.float64(), codegen
 
 
-own_mark = intrinsic(_own_mark)
+own_mark: Any = intrinsic(_own_mark)
 _lock = threading.RLock()
-_HEADER = 4  # address, offset, number of joints, number of constants
+_HEADER = 6  # address, offset, numbers of joints and constants, first activation, their number
 
 
 def fill_table(plant: Plant, mark: float) -> None:
@@ -57,6 +58,7 @@ def fill_table(plant: Plant, mark: float) -> None:
         rows = element.rows
         joints = [(address_of[d], d, *rows[:, d].tolist()) for d in element.joints.tolist()]
         entry: list[float] = [element.address, element.offset, len(joints), element.constants.size]
+        entry += [element.activation, len(element.memory)]
         entry += [number for joint in joints for number in joint]
         entry += list(element.constants)
         start = table.size - 2 - ELEMENT_WIDTH * (e + 1)
@@ -75,7 +77,7 @@ def fill_tables(plants: Iterable[Plant]) -> bool:
     """Write the run-time laws of some plants into their models; say whether there are any."""
     lawful = [plant for plant in plants if plant.elements]
     for plant in lawful:
-        fill_table(plant, _callback()[1])
+        fill_table(plant, _callbacks().mark)
     return bool(lawful)
 
 
@@ -89,13 +91,15 @@ def obeyed_laws(lawful: bool) -> Iterator[None]:
     if not lawful:
         yield
         return
-    callback, _ = _callback()
+    callbacks = _callbacks()
     with _lock:
-        mujoco.set_mjcb_passive(callback.ctypes)
+        mujoco.set_mjcb_passive(callbacks.passive.ctypes)
+        mujoco.set_mjcb_act_dyn(callbacks.rate.ctypes)
         try:
             yield
         finally:
             mujoco.set_mjcb_passive(None)
+            mujoco.set_mjcb_act_dyn(None)
 
 
 def _find_pointer(address: int, target: int, words: int = 60000) -> int:
@@ -108,12 +112,46 @@ def _find_pointer(address: int, target: int, words: int = 60000) -> int:
     raise NumericsError("This MuJoCo build keeps its arrays where physid cannot find them.")
 
 
+@kept
+def _count(table, mark, version):  # type: ignore[no-untyped-def]
+    """Return the number of laws in a table, none if it is not this process's."""
+    own = version > 0 and table.size >= 2 and table[table.size - 2] == mark
+    return int(table[table.size - 1]) if own else 0
+
+
+@kept
+def _part(table, start, qpos, qvel, time, base, acts, part):  # type: ignore[no-untyped-def]
+    """Return a law's force (part 0), or the rate of an entry of its memory (from part 1 on).
+
+    ``base`` and ``acts`` are the addresses of the table and of the activations.
+    """
+    x, v, joints = -table[start + 1], 0.0, int(table[start + 2])
+    for j in range(joints):
+        at = start + _HEADER + JOINT_WIDTH * j
+        x += table[at + 2] * qpos[int(table[at])]
+        v += table[at + 3] * qvel[int(table[at + 1])]
+    constants = pointer_at(base + 8 * (start + _HEADER + JOINT_WIDTH * joints))
+    if table[start + 5] == 0:
+        return call_law(np.int64(table[start]), x, v, time, constants)
+    memory = pointer_at(acts + 8 * np.int64(table[start + 4]))
+    return call_memory_law(np.int64(table[start]), x, v, time, constants, memory, np.int64(part))
+
+
+class _Callbacks(NamedTuple):
+    """What the engine calls for forces and for rates of memories, and the mark of this process."""
+
+    passive: Any
+    rate: Any
+    mark: float
+
+
 @lru_cache(maxsize=1)
-def _callback() -> tuple[Any, float]:
+def _callbacks() -> _Callbacks:
     marker = 1237
     probe = mujoco.MjModel.from_xml_string(
         "<mujoco><custom><numeric name='n' size='1237' data='0'/></custom><worldbody><body>"
-        "<joint name='j' type='slide'/><geom size='1'/></body></worldbody></mujoco>"
+        "<joint name='j' type='slide'/><geom size='1'/></body></worldbody><actuator>"
+        "<general joint='j' dyntype='filter' dynprm='1'/></actuator></mujoco>"
     )
     data = mujoco.MjData(probe)
     model_words = np.ctypeslib.as_array((ctypes.c_int64 * 200).from_address(probe._address))
@@ -121,7 +159,9 @@ def _callback() -> tuple[Any, float]:
     numbers_at = _find_pointer(probe._address, probe.numeric_data.ctypes.data)
     qpos_at = _find_pointer(data._address, data.qpos.ctypes.data)
     qvel_at = _find_pointer(data._address, data.qvel.ctypes.data)
+    act_at = _find_pointer(data._address, data.act.ctypes.data)
     force_at = _find_pointer(data._address, data.qfrc_passive.ctypes.data)
+    activation_at = _find_pointer(probe._address, probe.actuator_actadr.ctypes.data)
     mujoco.mj_step(probe, data)
     data.time = 12345.678
     words = np.ctypeslib.as_array((ctypes.c_double * 60000).from_address(data._address))
@@ -130,37 +170,46 @@ def _callback() -> tuple[Any, float]:
     add_symbol(_MARK_NAME, ctypes.addressof(_MARK))
     # What the code takes from here, the engine's version and layout, keys the kept code.
     version = mujoco.mj_version()
-    width, header, entry = ELEMENT_WIDTH, _HEADER, JOINT_WIDTH
+    width, longest = ELEMENT_WIDTH, max(numbers_at, activation_at) + 1
 
     @kept_c_function(types.void(types.uintp, types.uintp))
     def passive(model_address, data_address):  # type: ignore[no-untyped-def]
-        model = carray(pointer_at(np.int64(model_address)), (numbers_at + 1,)).view(np.int64)
-        state = carray(pointer_at(np.int64(data_address)), (force_at + time_at,))
-        state_words = state.view(np.int64)
+        model = carray(pointer_at(np.int64(model_address)), (longest,)).view(np.int64)
+        words = carray(pointer_at(np.int64(data_address)), (force_at + time_at,))
+        pointers = words.view(np.int64)
         size = model[size_at]
-        if size < 2:
-            return
         table = carray(pointer_at(model[numbers_at]), (size,))
-        if version < 0 or table[size - 2] != own_mark():  # type: ignore[call-arg]
-            return
+        laws = _count(table, own_mark(), version)
         nv = model[1]
-        qpos = carray(pointer_at(state_words[qpos_at]), (model[0],))
-        qvel = carray(pointer_at(state_words[qvel_at]), (nv,))
-        force = carray(pointer_at(state_words[force_at]), (nv,))
-        base = model[numbers_at]
-        for e in range(int(table[size - 1])):
+        qpos = carray(pointer_at(pointers[qpos_at]), (model[0],))
+        qvel = carray(pointer_at(pointers[qvel_at]), (nv,))
+        force = carray(pointer_at(pointers[force_at]), (nv,))
+        for e in range(laws):
             start = size - 2 - width * (e + 1)
-            joints = int(table[start + 2])
-            x = -table[start + 1]
-            v = 0.0
-            for j in range(joints):
-                at = start + header + entry * j
-                x += table[at + 2] * qpos[int(table[at])]
-                v += table[at + 3] * qvel[int(table[at + 1])]
-            constants = pointer_at(base + 8 * (start + header + entry * joints))
-            f = call_law(np.int64(table[start]), x, v, state[time_at], constants)
-            for j in range(joints):
-                at = start + header + entry * j
+            acts, base = pointers[act_at], model[numbers_at]
+            f = _part(table, start, qpos, qvel, words[time_at], base, acts, 0)
+            for j in range(int(table[start + 2])):
+                at = start + _HEADER + JOINT_WIDTH * j
                 force[int(table[at + 1])] += table[at + 4] * f
 
-    return passive, _MARK.value
+    @kept_c_function(types.float64(types.uintp, types.uintp, types.int32))
+    def rate(model_address, data_address, actuator):  # type: ignore[no-untyped-def]
+        model = carray(pointer_at(np.int64(model_address)), (longest,)).view(np.int64)
+        words = carray(pointer_at(np.int64(data_address)), (force_at + time_at,))
+        pointers = words.view(np.int64)
+        size = model[size_at]
+        table = carray(pointer_at(model[numbers_at]), (size,))
+        laws = _count(table, own_mark(), version)
+        qpos = carray(pointer_at(pointers[qpos_at]), (model[0],))
+        qvel = carray(pointer_at(pointers[qvel_at]), (model[1],))
+        addresses = carray(pointer_at(model[activation_at]), (actuator + 1,)).view(np.int32)
+        own = addresses[actuator]
+        for e in range(laws):
+            start = size - 2 - width * (e + 1)
+            part = own - int(table[start + 4])
+            if part >= 0 and part < int(table[start + 5]):
+                acts, base = pointers[act_at], model[numbers_at]
+                return _part(table, start, qpos, qvel, words[time_at], base, acts, part + 1)
+        return 0.0
+
+    return _Callbacks(passive, rate, _MARK.value)

@@ -57,7 +57,14 @@ class Element:
     limit : ndarray (k,), optional
         For dry friction: the constants without the smoothing that a sign needs inside an engine.
     edges : (float, float)
-        The coordinates at which the law jumps, where it does.
+        Where the law jumps, if it does; a lower edge may be infinite.
+    edge_of : {"position", "speed", "time"}
+        What the edges are edges of.
+    memory : tuple of str
+        The law's own states (:func:`physid.plant.law.memory_law`), by where they start if nothing is
+        known: ``position`` at x, ``speed`` at v, ``reading`` at x + v, ``unit`` (of size one) at zero.
+    activation : int
+        Where the first of them stands among the engine's activations; given when compiled.
     rate : ndarray (nv,) or None
         v = rate . qvel; ``row`` if None.
     direction : ndarray (nv,) or None
@@ -70,6 +77,9 @@ class Element:
     constants: np.ndarray
     limit: np.ndarray | None = None
     edges: tuple[float, float] = (-np.inf, np.inf)
+    edge_of: Literal["position", "speed", "time"] = "position"
+    memory: tuple[str, ...] = ()
+    activation: int = -1
     rate: np.ndarray | None = None
     direction: np.ndarray | None = None
 
@@ -79,6 +89,13 @@ class Element:
         rate = self.row if self.rate is None else self.rate
         direction = self.row if self.direction is None else self.direction
         return np.array([self.row, rate, direction], dtype=float)
+
+    def remembered(self, position: np.ndarray, speed: np.ndarray) -> np.ndarray:
+        """Return where the memory starts at positions and speeds (w, nv), (w, memory)."""
+        rows = self.rows
+        x, v = position @ rows[0] - self.offset, speed @ rows[1]
+        starts = {"position": x, "speed": v, "reading": x + v, "unit": np.zeros_like(x)}
+        return np.array([starts[kind] for kind in self.memory]).reshape(-1, len(x)).T
 
     @property
     def joints(self) -> np.ndarray:
@@ -90,7 +107,8 @@ class Element:
 class Scales:
     """How large things are at a place, from a simulation of the base model along the record.
 
-    All are root mean squares except where said; units of the place.
+    All are root mean squares except where said; units of the place.  ``duration`` is the record's length
+    [s].
     """
 
     position: float
@@ -100,6 +118,7 @@ class Scales:
     travel: float
     largest: float
     dt: float
+    duration: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,6 +145,12 @@ class Effect(ABC):
     supersedes: ClassVar[tuple[str, ...]] = ()
     """Effects that this one contains as a special case."""
     hinge_only: ClassVar[bool] = False
+    memory: ClassVar[tuple[str, ...]] = ()
+    """States of its own that its one element has; see :class:`Element`."""
+    timed: ClassVar[bool] = False
+    """Whether its law depends on the time."""
+    searched: ClassVar[bool] = True
+    """Whether a diagnosis tries it by itself; if not, it is there for who adds it."""
 
     def possible(self, model: mujoco.MjModel, structure: Structure, place: Place) -> bool:
         """Say whether the effect makes sense at a place of this model."""
@@ -134,6 +159,11 @@ class Effect(ABC):
     @abstractmethod
     def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
         """Write the effect into an MJCF specification (nothing, for a pure run-time law)."""
+
+    def export(  # noqa: B027 - most effects write the same into files
+        self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]
+    ) -> None:
+        """Write besides into a file what physid itself does outside the engine."""
 
     def undo(  # noqa: B027 - most effects have nothing to take back
         self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]
@@ -150,9 +180,21 @@ class Effect(ABC):
         """Return what the actuator makes of its input before the engine sees it (n,)."""
         return u
 
+    def observe(self, y: np.ndarray, memory: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
+        """Return what the sensor reads of the quantity it measures (w, n); memory is (w, n, k)."""
+        return y
+
+    def lateness(self, values: Mapping[str, float]) -> float:
+        """Return by how much the sensor's reading is late [s]."""
+        return 0.0
+
     @abstractmethod
     def trials(self, scales: Scales) -> Sequence[Trial]:
         """Return the shapes to screen."""
+
+    def closer(self, trial: Trial, scales: Scales, level: int) -> Sequence[Trial]:
+        """Return shapes around the best one, ever closer with the level (from 1 on); none where no need."""
+        return ()
 
     def limits(self, scales: Scales) -> Mapping[str, tuple[float, float]]:
         """Return narrower bounds for some coefficients, from how large things are at the place."""

@@ -69,18 +69,25 @@ class Family:
         """Return the plant at parameter values theta (p,)."""
         parts, delays = self.parts_at(theta)
         values = dict(zip(self.names, map(float, theta), strict=True))
-        conditioners = self.reference.conditioners
-        if any("@" in name for name in values) and conditioners:
+        conditioners, instruments = self.reference.conditioners, self.reference.instruments
+        if any("@" in name for name in values) and (conditioners or instruments):
             effects = self.model.with_values(values).effects
             conditioners = tuple(
                 (k, next(e for e in effects if e.same_site(p))) for k, p in conditioners
             )
+            instruments = tuple(
+                i._replace(placed=next(e for e in effects if e.same_site(i.placed)))
+                for i in instruments
+            )
+        lags = self.reference.time_constants.copy()
+        lags[: len(parts.actuators)] = parts.actuators[:, 13]
         return replace(
             self.reference,
             delays=delays,
             conditioners=conditioners,
+            instruments=instruments,
             network=assemble(parts),
-            time_constants=parts.actuators[:, 13],
+            time_constants=lags,
             source=(self.model, values),
         )
 

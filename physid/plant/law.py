@@ -3,7 +3,7 @@
 A law is a C function ``f(x, v, t, p) -> force`` of a coordinate ``x`` [m or rad], its rate ``v``
 [m/s or rad/s], the time ``t`` [s] and a pointer ``p`` to its constants.  It is stated once, with
 :func:`force_law`, and called through its address, so no caller has to be compiled again when a law
-is added.
+is added.  A law that remembers is stated with :func:`memory_law`.
 """
 
 from __future__ import annotations
@@ -38,6 +38,44 @@ def force_law(function: Callable[..., float]) -> Any:
     return kept_c_function(LAW_SIGNATURE, error_model="numpy")(function)
 
 
+MEMORY_SIGNATURE = types.float64(
+    types.float64, types.float64, types.float64, _NUMBERS, _NUMBERS, types.int64
+)
+
+
+def memory_law(function: Callable[..., float]) -> Any:
+    """Compile a force law with a memory z of its own, which obeys a differential equation.
+
+    Parameters
+    ----------
+    function : callable
+        ``f(x, v, t, p, z, part)`` in the subset of Python that numba compiles: the force for part 0,
+        dz/dt of entry k of the memory for part k + 1.
+
+    Returns
+    -------
+    numba CFunc
+        See :func:`force_law`.
+    """
+    return kept_c_function(MEMORY_SIGNATURE, error_model="numpy")(function)
+
+
+def _call_memory_law(typingctx, address, x, v, t, constants, memory, part):  # type: ignore[no-untyped-def]
+    """Call the law with a memory at an address from compiled code."""
+    signature = types.float64(
+        types.int64, types.float64, types.float64, types.float64, _NUMBERS, _NUMBERS, types.int64
+    )
+
+    def codegen(context, builder, _signature, arguments):  # type: ignore[no-untyped-def]
+        double = ir.DoubleType()
+        numbers = double.as_pointer()
+        taken = [double, double, double, numbers, numbers, ir.IntType(64)]
+        target = builder.inttoptr(arguments[0], ir.FunctionType(double, taken).as_pointer())
+        return builder.call(target, arguments[1:])
+
+    return signature, codegen
+
+
 def _call_law(typingctx, address, x, v, t, constants):  # type: ignore[no-untyped-def]
     """Call the law at an address from compiled code (a plain C call, about 2 ns)."""
     signature = types.float64(types.int64, types.float64, types.float64, types.float64, _NUMBERS)
@@ -62,6 +100,7 @@ def _pointer_at(typingctx, address):  # type: ignore[no-untyped-def]
 
 
 call_law: Any = intrinsic(_call_law)
+call_memory_law: Any = intrinsic(_call_memory_law)
 pointer_at: Any = intrinsic(_pointer_at)
 
 

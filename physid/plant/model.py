@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
 from physid.errors import ModelError, available
+from physid.plant.delays import HELD, held_delay, take_delays, write_delay
 from physid.plant.effect import Coefficient, Effect, Element, Placed, spec_element
 from physid.plant.loading import without_looks
+from physid.plant.memory import add_memory, memory_name
 from physid.plant.parameter import (
     ATTRIBUTES,
     Parameter,
@@ -34,14 +35,22 @@ JOINT_WIDTH = 5
 """Numbers per joint of a law: addresses in qpos and qvel, factors of position, speed and force."""
 MOST_ELEMENTS = 4
 """Most run-time force laws of one effect."""
-HELD, LINEAR = 0, 1  # the engine's codes for how a delayed input is interpolated
+
+
+class Instrument(NamedTuple):
+    """An effect on a sensor: its channel, and the first activation of its memory."""
+
+    channel: int
+    placed: Placed
+    activation: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plant:
     """A model compiled at given values: what the two back ends simulate.
 
-    ``delays`` (nu,) [s] and ``conditioners`` act on the input before the engine sees it.
+    ``delays`` (nu,) [s] and ``conditioners`` act on the input before the engine sees it, ``instruments``
+    on the outputs it gives.
     ``time_constants`` (nactuator,) [s] are those of first-order actuators, else 0.  A plant of a family
     (:mod:`physid.plant.family`) carries its network, and compiles its ``source`` only for the engine.
     """
@@ -50,9 +59,15 @@ class Plant:
     elements: tuple[Element, ...]
     delays: np.ndarray
     conditioners: tuple[tuple[int, Placed], ...]
+    instruments: tuple[Instrument, ...]
     time_constants: np.ndarray
     network: Any = None
     source: tuple[Model, Mapping[str, float]] | None = None
+
+    @property
+    def latest(self) -> float:
+        """By how much the latest sensor is late [s]: the engine's clock is behind the record's by it."""
+        return max((p.effect.lateness(p.values) for _, p, _ in self.instruments), default=0.0)
 
     def compiled(self) -> Plant:
         """Return the plant with its model compiled at its own values."""
@@ -227,7 +242,7 @@ class Model:
             If the engine refuses the values.
         """
         spec = self._edited(self.spec if looks else self._physical, timestep)
-        delays = _take_delays(spec, self.structure, timestep)
+        delays = take_delays(spec, self.structure, timestep)
         runtime = [p for p in self.effects if p.effect.representation == "runtime"]
         if runtime:
             spec.add_numeric(
@@ -235,6 +250,8 @@ class Model:
                 size=ELEMENT_WIDTH * MOST_ELEMENTS * len(runtime) + 2,
                 data=np.zeros(1),
             )
+        for placed in self.effects:
+            add_memory(spec, self.site(placed), placed, self.structure.joints[0].name)
         try:
             model = spec.compile()
         except ValueError as error:
@@ -242,15 +259,17 @@ class Model:
             raise ModelError(f"MuJoCo refuses {self.name} at the values tried: {reason}.") from None
         # One solve for all constraints: the same result, a tenth faster on rigs of a few bodies.
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
+        elements = tuple(e for p in runtime for e in self._elements(model, p))
         return Plant(
             model=model,
-            elements=tuple(e for p in runtime for e in self._elements(model, p)),
+            elements=elements,
             delays=delays,
             conditioners=tuple(
                 (self.structure.inputs.index(p.place.name), p)
                 for p in self.effects
                 if type(p.effect).condition is not Effect.condition
             ),
+            instruments=self._instruments(elements),
             time_constants=np.where(
                 model.actuator_dyntype == int(mujoco.mjtDyn.mjDYN_FILTER),
                 model.actuator_dynprm[:, 0],
@@ -258,10 +277,32 @@ class Model:
             ),
         )
 
+    def _instruments(self, elements: Sequence[Element]) -> tuple[Instrument, ...]:
+        """Return what acts on the outputs; those with a memory read the motion itself, so come first."""
+        remembering = iter(e.activation for e in elements if e.memory)
+        first = {id(p): next(remembering) for p in self.effects if p.effect.memory}
+        found = [
+            Instrument(k, p, first.get(id(p), 0))
+            for p in self.effects
+            if p.place.kind == "sensor"
+            for k, c in enumerate(self.structure.channels)
+            if c.sensor == p.place.name
+        ]
+        return tuple(sorted(found, key=lambda i: -len(i.placed.effect.memory)))
+
+    @property
+    def memory(self) -> tuple[str, ...]:
+        """The effects' own states, by kind; see :class:`physid.plant.effect.Element`."""
+        return tuple(kind for p in self.effects for kind in p.effect.memory)
+
     def _elements(self, model: mujoco.MjModel, placed: Placed) -> tuple[Element, ...]:
         found = placed.effect.elements(model, placed.place, placed.values)
+        if placed.effect.memory:
+            (element,) = found
+            first = model.actuator(memory_name(self.site(placed), 0)).id
+            found = (replace(element, activation=int(model.actuator_actadr[first])),)
         for element in found:
-            joints, most = element.joints.size, (ELEMENT_WIDTH - 10) // JOINT_WIDTH
+            joints, most = element.joints.size, (ELEMENT_WIDTH - 20) // JOINT_WIDTH
             if joints > most:
                 raise ModelError(
                     f"{self.site(placed)} couples {joints} joints; at most {most} can."
@@ -326,6 +367,7 @@ class Model:
         """
         spec = self._edited(self.spec, timestep)
         for placed in self.effects:
+            placed.effect.export(spec, placed.place, placed.values)
             if placed.effect.representation == "runtime":
                 data = [float(placed.values[c.name]) for c in placed.effect.coefficients]
                 spec.add_numeric(name=f"physid:{self.site(placed)}", data=data, size=len(data))
@@ -333,47 +375,12 @@ class Model:
         return str(spec.to_xml())
 
 
-def _take_delays(spec: mujoco.MjSpec, structure: Structure, timestep: float) -> np.ndarray:
-    """Move the actuators' delays out of the engine: inputs are shifted exactly beforehand."""
-    delays = np.zeros(len(structure.inputs))
-    for actuator in spec.actuators:
-        delay = held_delay(actuator, timestep)
-        for k, name in enumerate(structure.inputs):
-            if delay > 0 and name in (actuator.name, f"{actuator.name}.0", f"{actuator.name}.1"):
-                delays[k] = delay
-        actuator.delay = 0.0
-        actuator.nsample = 0
-    return delays
-
-
-def held_delay(actuator: Any, timestep: float) -> float:
-    """Return by how much an actuator delays a held input [s], at the step its delay is written for.
-
-    The engine interpolates its samples of the input, which leads a held input by half a step.
-    """
-    lead = 0.0 if actuator.interp == HELD else 0.5 * timestep
-    return max(float(actuator.delay) - lead, 0.0)
-
-
-def write_delay(actuator: Any, delay: float, timestep: float) -> None:
-    """Make an actuator delay a held input by ``delay`` [s], in the engine's own terms.
-
-    The half step by which the engine's interpolation leads is added.
-    """
-    if delay <= 0:
-        return
-    actuator.delay = delay + 0.5 * timestep
-    actuator.nsample = math.ceil(delay / timestep) + 3
-    actuator.interp = LINEAR
-
-
 __all__ = [
     "ELEMENT_TABLE",
     "ELEMENT_WIDTH",
     "JOINT_WIDTH",
+    "Instrument",
     "Model",
     "Plant",
-    "held_delay",
     "sharpen_friction",
-    "write_delay",
 ]

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from physid.plant.compiling import kept
-from physid.plant.law import call_law, pointer_at
+from physid.plant.law import call_law, call_memory_law, pointer_at
 
 
 class Network(NamedTuple):
@@ -35,7 +35,8 @@ class Network(NamedTuple):
     ``actuators``: gain 3, bias 3, cogging 3, force low and high, activation and ctrl number (-1:
     none).  ``friction``: force, R, B of the engine's constraint; ``diagonals`` of J M^-1 J'.
     ``laws``: address, offset, constants' start, their limit without smoothing (``law_limits``), the
-    friction element whose sign they share (-1: none), and the edges at which they jump.
+    friction element whose sign they share (-1: none), the edges at which they jump and of what (0
+    position, 1 speed, 2 time), and their memory among the activations: first and number.
     """
 
     linear: np.ndarray
@@ -66,6 +67,8 @@ class Network(NamedTuple):
     law_limits: np.ndarray
     law_frictions: np.ndarray
     law_edges: np.ndarray
+    law_edge_kinds: np.ndarray
+    law_memories: np.ndarray
 
 
 @kept(nogil=True, error_model="numpy")
@@ -168,12 +171,44 @@ def _integrate_linear(  # type: ignore[no-untyped-def]
                     _move(onward, steady, driven, limits, x, after, controls, row)
 
 
+EDGE = 1e-12
+"""How far from an edge a law is evaluated at least, as a share of the distance between its edges."""
+
+
+@kept(nogil=True, error_model="numpy")
+def _beyond_what(kind, row, rate, offset, x, t):  # type: ignore[no-untyped-def]
+    """Return the position, speed or time of which a law has edges."""
+    if kind == 2:
+        return t
+    nv = row.size
+    if kind == 1:
+        v = 0.0
+        for j in range(nv):
+            v += rate[j] * x[nv + j]
+        return v
+    z = -offset
+    for j in range(nv):
+        z += row[j] * x[j]
+    return z
+
+
+@kept(nogil=True, error_model="numpy")
+def _kept_beyond(value, side, low, high):  # type: ignore[no-untyped-def]
+    """Return a position, speed or time moved to the side of a law's edges on which the law is now."""
+    inset = EDGE * (high - low if low > -np.inf else 1.0 + abs(high))
+    if side > 0.0:
+        return max(value, high + inset)
+    if side < 0.0:
+        return min(value, low - inset)
+    if high < np.inf:
+        return min(max(value, low + inset), high - inset)
+    return value
+
+
 MOST_EVENTS = 24
 """Instants at which something comes to rest or to an edge, located within one step at most."""
 REST = 1e-9
 """Speed [m/s or rad/s] at which the friction of an element at rest is read from its law."""
-EDGE = 1e-12
-"""How far from an edge a law is evaluated at least, as a share of the distance between its edges."""
 
 
 @kept(nogil=True, error_model="numpy")
@@ -237,6 +272,8 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
         law_limits,
         law_frictions,
         law_edges,
+        law_edge_kinds,
+        law_memories,
     ) = net
     nv = sines.shape[0]
     n = initial.shape[1]
@@ -269,19 +306,29 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
     slipped = np.zeros(rubs)
     bound = np.zeros(rubs)
     sides = np.zeros(laws)
+    # Of laws with edges of a speed: the side of the edge just met, and of that on which they ride.
+    met = np.zeros(laws)
+    rides = np.zeros(laws)
     for w in range(initial.shape[0]):
         for i in range(n):
             x[i] = initial[w, i]
         rub[:] = 0.0
+        met[:] = 0.0
+        rides[:] = 0.0
         for e in range(rubs):
             v = 0.0
             for j in range(nv):
                 v += friction_rows[e, j] * x[nv + j]
             slides[e] = np.sign(v)
         for e in range(laws):
-            z = -law_offsets[e]
-            for j in range(nv):
-                z += law_rows[e, j] * x[j]
+            z = _beyond_what(
+                law_edge_kinds[e],
+                law_rows[e],
+                law_rates[e],
+                law_offsets[e],
+                x,
+                starts[w] * substeps * h,
+            )
             sides[e] = 1.0 if z > law_edges[e, 1] else (-1.0 if z < law_edges[e, 0] else 0.0)
         for k in range(samples):
             step = (starts[w] + k) * substeps
@@ -401,31 +448,78 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
                             for e in range(rubs):
                                 bound[e] = friction[e, 0]
                             for e in range(laws):
+                                if met[e] != 0.0 or rides[e] != 0.0:
+                                    continue
                                 z = -law_offsets[e]
                                 v = 0.0
                                 for j in range(nv):
                                     z += law_rows[e, j] * stage[j]
                                     v += law_rates[e, j] * stage[nv + j]
                                 base = law_constants.ctypes.data
+                                now = t + c
                                 rubbed = law_frictions[e]
                                 if exact:
                                     base = law_limits.ctypes.data
                                     if rubbed >= 0:
                                         v = abs(v) if abs(v) > REST else REST
                                         v = -v if slides[rubbed] < 0.0 else v
-                                    inset = EDGE * (law_edges[e, 1] - law_edges[e, 0])
-                                    if sides[e] > 0.0:
-                                        z = max(z, law_edges[e, 1] + inset)
-                                    elif sides[e] < 0.0:
-                                        z = min(z, law_edges[e, 0] - inset)
-                                    elif inset < np.inf:
-                                        z = max(z, law_edges[e, 0] + inset)
-                                        z = min(z, law_edges[e, 1] - inset)
+                                    on = sides[e]
+                                    first, second = law_edges[e, 0], law_edges[e, 1]
+                                    if law_edge_kinds[e] == 0:
+                                        z = _kept_beyond(z, on, first, second)
+                                    elif law_edge_kinds[e] == 1:
+                                        v = _kept_beyond(v, on, first, second)
+                                    else:
+                                        now = _kept_beyond(now, on, first, second)
                                 constants = pointer_at(base + 8 * law_starts[e])
-                                f = call_law(law_addresses[e], z, v, t + c, constants)
+                                if law_memories[e, 1]:
+                                    at = 2 * nv + law_memories[e, 0]
+                                    memory = pointer_at(stage.ctypes.data + 8 * at)
+                                    address = law_addresses[e]
+                                    f = call_memory_law(address, z, v, now, constants, memory, 0)
+                                    for j in range(law_memories[e, 1]):
+                                        rate[at + j] += call_memory_law(
+                                            address, z, v, now, constants, memory, j + 1
+                                        )
+                                else:
+                                    f = call_law(law_addresses[e], z, v, now, constants)
                                 if exact and rubbed >= 0 and slides[rubbed] == 0.0:
                                     bound[rubbed] += abs(f)
                                     continue
+                                for i in range(nv):
+                                    rate[nv + i] += law_pulls[e, i] * f
+                            # At a speed where its law jumps, a law whose force on either side drives
+                            # back to it keeps the speed, with a force in between (Filippov).
+                            for e in range(laws):
+                                if met[e] == 0.0 and rides[e] == 0.0:
+                                    continue
+                                z = -law_offsets[e]
+                                a = 0.0
+                                per = 0.0
+                                for j in range(nv):
+                                    z += law_rows[e, j] * stage[j]
+                                    a += law_rates[e, j] * rate[nv + j]
+                                    per += law_rates[e, j] * law_pulls[e, j]
+                                on = met[e] if rides[e] == 0.0 else rides[e]
+                                first, second = law_edges[e, 0], law_edges[e, 1]
+                                constants = pointer_at(law_limits.ctypes.data + 8 * law_starts[e])
+                                v = _kept_beyond(second if on > 0.0 else first, 0.0, first, second)
+                                inside = call_law(law_addresses[e], z, v, t + c, constants)
+                                v = _kept_beyond(second if on > 0.0 else first, on, first, second)
+                                outside = call_law(law_addresses[e], z, v, t + c, constants)
+                                if r == 0:
+                                    rides[e] = 0.0
+                                    met[e] = 0.0
+                                    sides[e] = 0.0
+                                    if on * (a + per * outside) >= 0.0:
+                                        sides[e] = on
+                                    elif on * (a + per * inside) > 0.0:
+                                        rides[e] = on
+                                f = inside if sides[e] == 0.0 else outside
+                                if rides[e] != 0.0:
+                                    f = min(
+                                        max(-a / per, min(inside, outside)), max(inside, outside)
+                                    )
                                 for i in range(nv):
                                     rate[nv + i] += law_pulls[e, i] * f
                             # min 1/2 f'(A + R) f + f'(a0 + B v), |f| <= F, by Gauss-Seidel: over all
@@ -492,13 +586,11 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
                                 first, cut, sign = share, e, slides[e]
                                 v_low, v_high = sign * was, sign * v
                         for e in range(laws):
-                            if not law_edges[e, 1] < np.inf:
+                            if not law_edges[e, 1] < np.inf or rides[e] != 0.0:
                                 continue
-                            z = -law_offsets[e]
-                            was = z
-                            for j in range(nv):
-                                z += law_rows[e, j] * after[j]
-                                was += law_rows[e, j] * x[j]
+                            kind, offset = law_edge_kinds[e], law_offsets[e]
+                            was = _beyond_what(kind, law_rows[e], law_rates[e], offset, x, t)
+                            z = _beyond_what(kind, law_rows[e], law_rates[e], offset, after, t + dt)
                             target = sides[e]
                             border = 0.0
                             if sides[e] == 0.0 and z > law_edges[e, 1]:
@@ -536,9 +628,16 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
                             for j in range(nv):
                                 v += friction_rows[cut, j] * after[nv + j]
                         else:
-                            v = -law_offsets[cut - rubs] - edge
-                            for j in range(nv):
-                                v += law_rows[cut - rubs, j] * after[j]
+                            e = cut - rubs
+                            v = _beyond_what(
+                                law_edge_kinds[e],
+                                law_rows[e],
+                                law_rates[e],
+                                law_offsets[e],
+                                after,
+                                t + dt,
+                            )
+                            v -= edge
                         v *= sign
                         tries += 1
                         if abs(v) > 1e-13 * (abs(v_low) + abs(v_high)) and tries < 60:
@@ -565,7 +664,10 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
                             slides[cut] = 0.0
                             rub[cut] = 0.0
                         else:
-                            sides[cut - rubs] = beyond
+                            e = cut - rubs
+                            sides[e] = beyond
+                            if law_edge_kinds[e] == 1:
+                                met[e] = 1.0 if edge == law_edges[e, 1] else -1.0
                         cut = -1
                         events += 1
                     left -= dt

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from physid.errors import InputError, ModelError, available
-from physid.plant.structure import KINDS, Place, Structure, tendon_unit
+from physid.plant.structure import KINDS, Place, Structure, sensor_unit, tendon_unit
 
 LIGHTEST = 1e-6
 """Lower bound of a mass or an inertia, as a share of what the MJCF gives."""
@@ -177,8 +177,18 @@ def units_of(model: mujoco.MjModel, place: Place) -> dict[str, str]:
         x = "rad" if kind == int(mujoco.mjtJoint.mjJNT_HINGE) else "m"
     elif place.kind == "tendon":
         x = tendon_unit(model, element_id(model, place))
+    elif place.kind == "pair":
+        return units_of(model, Place("joint", place.name.split(",")[0]))
+    elif place.kind == "body":
+        body = element_id(model, place)
+        last = int(model.body_jntadr[body] + model.body_jntnum[body] - 1)
+        hinge = model.body_jntnum[body] and model.jnt_type[last] == int(mujoco.mjtJoint.mjJNT_HINGE)
+        x = "rad" if hinge else "m"
     elif place.kind == "actuator":
         return {"f": "1", "x": "1", "v": "1/s", "m": "1"}
+    elif place.kind == "sensor":
+        unit = sensor_unit(model, element_id(model, place))
+        return {"f": unit, "x": unit, "v": f"{unit}/s", "m": "1"}
     angular = x == "rad"
     return {
         "f": "N m" if angular else "N",

@@ -14,9 +14,12 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from physid.plant.memory import MEMORY
 from physid.plant.model import Plant
 from physid.plant.structure import tendon_row
 
+EDGES = ("position", "speed", "time")
+"""What a law may have edges of, by number."""
 TRANSMISSION_JOINT = int(mujoco.mjtTrn.mjTRN_JOINT)
 TRANSMISSION_TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 
@@ -30,7 +33,8 @@ class Parts(NamedTuple):
     low and high, activation and ctrl number (-1: none), time constant (0: none).  ``friction``:
     force, R, B of the engine's constraint.  ``laws``: what they feel (``law_rows``, ``law_rates``) and push
     (``law_directions``), address, offset, start of their constants, these and their limit without
-    smoothing, the friction whose sign they share (-1: none), the edges at which they jump.
+    smoothing, the friction whose sign they share (-1: none), the edges at which they jump and of what (0 position,
+    1 speed, 2 time), and their memory: first activation and number.
     """
 
     mass: np.ndarray
@@ -54,6 +58,8 @@ class Parts(NamedTuple):
     law_limits: np.ndarray
     law_frictions: np.ndarray
     law_edges: np.ndarray
+    law_edge_kinds: np.ndarray
+    law_memories: np.ndarray
 
 
 def read_parts(plant: Plant, data: mujoco.MjData) -> Parts | None:
@@ -109,6 +115,8 @@ def read_parts(plant: Plant, data: mujoco.MjData) -> Parts | None:
         np.concatenate(limits) if laws else np.zeros(1),
         partners,
         np.array(edges, dtype=float).reshape(len(laws), 2),
+        np.array([EDGES.index(e.edge_of) for e in laws], dtype=np.int64),
+        np.array([[e.activation, len(e.memory)] for e in laws], dtype=np.int64).reshape(-1, 2),
     )
 
 
@@ -216,6 +224,8 @@ def _actuators(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray] | None:
     dyn, gain, bias = mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
     rows, numbers = [], []
     for i in range(model.nactuator):
+        if model.actuator(i).name.startswith(MEMORY):
+            continue  # the laws' own
         row = _actuator_row(model, i)
         if row is None or model.actuator_ctrlnum[i] > 1 or np.any(model.actuator_damping[i]):
             return None

@@ -6,10 +6,11 @@ reference for every model and confirms every final result.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -18,6 +19,7 @@ from physid.plant.assembly import agrees, network_of
 from physid.plant.callback import run_time_laws
 from physid.plant.compiling import kept
 from physid.plant.engine import simulate_engine
+from physid.plant.measuring import BETWEEN, Rollout, measured
 from physid.plant.model import Model, Plant
 from physid.plant.network import Network, integrate
 from physid.plant.structure import Structure
@@ -39,13 +41,6 @@ _LINEAR_SENSORS = (
     int(mujoco.mjtSensor.mjSENS_GYRO),
     int(mujoco.mjtSensor.mjSENS_VELOCIMETER),
 )
-
-
-class Rollout(NamedTuple):
-    """Simulated windows: outputs (w, samples, channels), states (w, samples, nq + nv + na)."""
-
-    outputs: np.ndarray
-    states: np.ndarray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,14 +114,15 @@ class Simulator:
         return [found[id(plant)] for plant in plants]
 
     def _acting(self, plant: Plant, held: np.ndarray) -> np.ndarray:
-        late = np.flatnonzero(plant.delays).tolist()
+        delays = plant.delays + plant.latest
+        late = np.flatnonzero(delays).tolist()
         if not plant.conditioners and not late:
             return held
         fine = held.copy()
         for k, placed in plant.conditioners:
             fine[:, k] = placed.effect.condition(fine[:, k], placed.values)
         for k in late:
-            fine[:, k] = delayed(fine[:, k], plant.delays[k] / self.step)
+            fine[:, k] = delayed(fine[:, k], delays[k] / self.step)
         return fine
 
     def run(
@@ -144,7 +140,7 @@ class Simulator:
         plants : sequence of Plant
             Compiled at this simulator's step.
         initial : sequence of ndarray (w, nq + nv + na)
-            State at the start of each window, per plant.
+            State at the start of each window, per plant; as much before it as the latest sensor is late.
         controls : sequence of ndarray (n * substeps, nu)
             Input of every substep of the whole record, per plant; see :meth:`controls`.
         starts : ndarray (w,)
@@ -157,6 +153,22 @@ class Simulator:
         list of Rollout
             One per plant; NaN after a divergence.
         """
+        latest = max(plant.latest for plant in plants)
+        more = math.ceil(latest / self.dt) + BETWEEN if latest > 0 else 0
+        runs = self._run(plants, initial, controls, starts, samples + more)
+        return [
+            measured(plant, run, self.dt, samples) for plant, run in zip(plants, runs, strict=True)
+        ]
+
+    def _run(
+        self,
+        plants: Sequence[Plant],
+        initial: Sequence[np.ndarray],
+        controls: Sequence[np.ndarray],
+        starts: np.ndarray,
+        samples: int,
+    ) -> list[Rollout]:
+        """Simulate with ideal sensors."""
         if self.compiled:
             found = self._run_network(plants, initial, controls, starts, samples)
             if found is not None:

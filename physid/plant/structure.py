@@ -15,11 +15,13 @@ import numpy as np
 from physid.errors import ModelError, available
 
 KINDS = ("joint", "tendon", "actuator", "sensor", "body")
+KIND_WORDS = {"pair": "pair of joints"}
+"""What a kind of place is called where that is not its name."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class Place:
-    """An element of the model: its kind (one of :data:`KINDS`) and its name."""
+    """An element of the model: its kind (one of :data:`KINDS`) and its name; or a ``pair`` of joints."""
 
     kind: str
     name: str
@@ -59,6 +61,16 @@ class Structure:
     servos: frozenset[tuple[str, str]] = frozenset()
     """Actuators that are servos, with the gains they have: (name, ``kp`` or ``kv``)."""
 
+    @property
+    def pairs(self) -> tuple[Place, ...]:
+        """Places between two hinges or two slides, ``first,second`` in model order."""
+        return tuple(
+            Place("pair", f"{a.name},{b.name}")
+            for k, a in enumerate(self.joints)
+            for b in self.joints[k + 1 :]
+            if a.hinge == b.hinge
+        )
+
     def label(self, place: Place) -> str:
         """Write a place as users do: the name, with the kind in front where names are shared."""
         shared = sum(p.name == place.name for p in self.places) > 1
@@ -70,7 +82,7 @@ class Structure:
         Parameters
         ----------
         text : str
-            ``NAME`` or ``KIND:NAME``.
+            ``NAME`` or ``KIND:NAME``; ``FIRST,SECOND`` for two joints, in any order.
         kinds : iterable of str
             Kinds of element that are meaningful here.
 
@@ -79,7 +91,11 @@ class Structure:
         ModelError
             If no such element exists, or if the name alone means several.
         """
-        allowed = [p for p in self.places if p.kind in set(kinds)]
+        allowed = [p for p in (*self.places, *self.pairs) if p.kind in set(kinds)]
+        if "pair" in set(kinds):
+            names = {name.strip() for name in text.split(",")}
+            same = [p.name for p in allowed if p.kind == "pair" and set(p.name.split(",")) == names]
+            text = same[0] if same else text
         kind, _, rest = text.partition(":")
         if rest and kind in KINDS:
             found = [p for p in allowed if p == Place(kind, rest)]
@@ -91,7 +107,8 @@ class Structure:
         if found:
             both = " and a ".join(p.kind for p in found)
             raise ModelError(f"'{text}' names a {both}; put the kind in front. {listed}")
-        raise ModelError(f"No {' or '.join(kinds)} is called '{text}' in this model. {listed}")
+        what = " or ".join(KIND_WORDS.get(k, k) for k in kinds)
+        raise ModelError(f"No {what} is called '{text}' in this model. {listed}")
 
     def joint(self, name: str) -> Joint:
         """Return the joint of this name."""
@@ -171,7 +188,8 @@ _UNITS = {
 }
 
 
-def _sensor_unit(model: mujoco.MjModel, i: int) -> str:
+def sensor_unit(model: mujoco.MjModel, i: int) -> str:
+    """Return the unit of a sensor's reading, ``1`` where it is not known."""
     kind, target = model.sensor_type[i], int(model.sensor_objid[i])
     sensors = mujoco.mjtSensor
     if kind in (int(sensors.mjSENS_JOINTPOS), int(sensors.mjSENS_JOINTVEL)):
@@ -191,7 +209,7 @@ def _channels(model: mujoco.MjModel) -> tuple[Channel, ...]:
             int(model.sensor_dim[i]),
             int(model.sensor_adr[i]),
         )
-        unit = _sensor_unit(model, i)
+        unit = sensor_unit(model, i)
         for k in range(dim):
             suffix = "" if dim == 1 else "." + ("xyz"[k] if dim == 3 else str(k))
             found.append(Channel(name + suffix, name, address + k, unit))
@@ -232,3 +250,49 @@ def tendon_unit(model: mujoco.MjModel, tendon: int) -> str:
         plain[bool(hinge)].append(abs(model.wrap_prm[w]) == 1.0)
     rolls = plain[True] and all(plain[True]) and not any(plain[False])
     return "rad" if rolls or not plain[False] else "m"
+
+
+def pair_row(model: mujoco.MjModel, name: str) -> np.ndarray:
+    """Return the difference of two joints' coordinates, ``first,second``, as a row over qvel (nv,)."""
+    first, second = (int(model.jnt_dofadr[model.joint(n).id]) for n in name.split(","))
+    row = np.zeros(model.nv)
+    row[first], row[second] = 1.0, -1.0
+    return row
+
+
+def body_row(model: mujoco.MjModel, name: str) -> np.ndarray | None:
+    """Return how far a body moves along (or turns about) the axis of its last joint, per joint (nv,).
+
+    It is taken at the model's reference position; None for a body whose last joint is no hinge or slide.
+    """
+    body = model.body(name).id
+    joint = int(model.body_jntadr[body] + model.body_jntnum[body] - 1)
+    slide, hinge = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
+    if not model.body_jntnum[body] or model.jnt_type[joint] not in (slide, hinge):
+        return None
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    moves, turns = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+    mujoco.mj_jacBody(model, data, moves, turns, body)
+    row = np.asarray(data.xaxis[joint] @ (moves if model.jnt_type[joint] == slide else turns))
+    row[np.abs(row) < 1e-12] = 0.0
+    return row
+
+
+def sensor_rows(model: mujoco.MjModel, sensor: int) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return what a sensor reads of joints' positions and speeds, (nv,) each.
+
+    None where it is no position or speed of a joint or fixed tendon.
+    """
+    kinds = mujoco.mjtSensor
+    kind, target = int(model.sensor_type[sensor]), int(model.sensor_objid[sensor])
+    row: np.ndarray | None = None
+    if kind in (int(kinds.mjSENS_JOINTPOS), int(kinds.mjSENS_JOINTVEL)):
+        row = np.eye(model.nv)[model.jnt_dofadr[target]]
+    elif kind in (int(kinds.mjSENS_TENDONPOS), int(kinds.mjSENS_TENDONVEL)):
+        row = tendon_row(model, target)
+    if row is None:
+        return None
+    speed = kind in (int(kinds.mjSENS_JOINTVEL), int(kinds.mjSENS_TENDONVEL))
+    return (0.0 * row, row) if speed else (row, 0.0 * row)

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from physid.errors import InputError, ModelError, available
 from physid.plant.callback import run_time_laws
 from physid.plant.model import Model
+from physid.plant.requirements import require_motion_alone
 from physid.tuning.loop import LinearPlant
 
 Array = npt.NDArray[np.float64]
@@ -45,6 +46,7 @@ def linearise(model: Model, dt: float) -> tuple[LinearPlant, Array]:
             f"positions for {model.structure.nv} joints, but a tuning needs hinges and slides "
             "driven without states of their own: simplify it."
         )
+    require_motion_alone(model, "A tuning")
     substeps = max(2, math.ceil(dt / model.dt - 1e-9))
     plant = model.compile(dt / substeps)
     with run_time_laws([plant]):

@@ -1,4 +1,4 @@
-"""A rig with a hinge, a slide, a tendon and two drives, and a setting for each effect on it."""
+"""A rig with a hinge, two slides, a tendon and two drives, and a setting for each effect on it."""
 
 import mujoco
 import numpy as np
@@ -13,14 +13,17 @@ RIG = """
   <body name="rotor"><joint name="hinge" axis="0 0 1"/>
     <inertial pos="0 0 0" mass="1" diaginertia="0.002 0.002 0.003"/></body>
   <body name="cart" pos="0 1 0"><joint name="slide" type="slide" axis="1 0 0"/>
-    <inertial pos="0 0 0" mass="1.5" diaginertia="0.01 0.01 0.01"/></body></worldbody>
+    <inertial pos="0 0 0" mass="1.5" diaginertia="0.01 0.01 0.01"/></body>
+  <body name="trolley" pos="0 2 0"><joint name="rail" type="slide" axis="1 0 0" stiffness="30"/>
+    <inertial pos="0 0 0" mass="0.5" diaginertia="0.01 0.01 0.01"/></body></worldbody>
 <tendon>
   <fixed name="spring" stiffness="200" damping="0.3"><joint joint="hinge" coef="0.1"/>
     <joint joint="slide" coef="-1"/></fixed>
   <fixed name="slack"><joint joint="hinge" coef="1"/></fixed></tendon>
 <actuator><motor name="motor" joint="hinge" gear="0.5"/>
   <position name="servo" joint="slide" kp="40" kv="1"/></actuator>
-<sensor><jointpos name="q" joint="hinge"/><jointpos name="x" joint="slide"/></sensor></mujoco>
+<sensor><jointpos name="q" joint="hinge"/><jointpos name="x" joint="slide"/>
+  <jointvel name="w" joint="hinge"/></sensor></mujoco>
 """
 HINGE, SLIDE, SPRING, MOTOR = "hinge", "slide", "spring", "motor"
 PRESENT = {
@@ -43,6 +46,15 @@ PRESENT = {
     "dead_zone": (MOTOR, {"width": 0.3}),
     "input_delay": (MOTOR, {"delay": 0.0053}),
     "actuator_lag": (MOTOR, {"time_constant": 0.006}),
+    "input_offset": (MOTOR, {"offset": 0.4}),
+    "coupling": ("slide,rail", {"stiffness": 60.0, "damping": 0.5}),
+    "sensor_offset": ("q", {"offset": 0.2}),
+    "sensor_lag": ("q", {"time_constant": 0.01}),
+    "sensor_delay": ("w", {"delay": 0.0053}),
+    "stiffness_change": (SPRING, {"factor": 0.4, "time": 0.0613}),
+    "switched_damping": (SPRING, {"factor": 6.0, "speed": 0.15}),
+    "unmodelled_mode": ("rotor", {"mass": 0.002, "stiffness": 3.0, "damping": 0.01}),
+    "hysteresis": (HINGE, {"force": 0.4, "displacement": 0.1, "exponent": 2.0}),
 }
 NEUTRAL = {
     "saturation": {"limit": 1e6},
@@ -50,6 +62,11 @@ NEUTRAL = {
     "stribeck_friction": {"force": 0.0, "static_force": 0.0, "stribeck_velocity": 0.2},
     "cogging": {"amplitude": 0.0, "periods": 7.0, "phase": 1.0},
     "gravity_imbalance": {"amplitude": 0.0, "phase": 1.0},
+    "sensor_lag": {"time_constant": 1e-5},
+    "stiffness_change": {"factor": 1.0, "time": 0.05},
+    "switched_damping": {"factor": 1.0, "speed": 0.1},
+    "unmodelled_mode": {"mass": 1.0, "stiffness": 0.0, "damping": 0.0},
+    "hysteresis": {"force": 0.0, "displacement": 0.1, "exponent": 1.0},
 }
 
 
@@ -81,10 +98,10 @@ def everywhere():
 
 
 def forces(model, position, speed, ctrl=(0.0, 0.0)):
-    """Return mass matrix times acceleration (nv,) in the engine, all forces included."""
+    """Return mass matrix times acceleration (nv,) in the engine; joints not given are at rest."""
     plant = model.compile(1e-4)
     data = mujoco.MjData(plant.model)
-    data.qpos[:], data.qvel[:], data.ctrl[:] = position, speed, ctrl
+    data.qpos[: len(position)], data.qvel[: len(speed)], data.ctrl[:] = position, speed, ctrl
     with run_time_laws([plant]):
         mujoco.mj_forward(plant.model, data)
     mass = np.zeros((plant.model.nv, plant.model.nv))

@@ -28,6 +28,15 @@ CONTRACT = {
     "dead_zone": (["actuator"], ["width"]),
     "input_delay": (["actuator"], ["delay"]),
     "actuator_lag": (["actuator"], ["time_constant"]),
+    "hysteresis": (["joint", "tendon"], ["force", "displacement", "exponent"]),
+    "stiffness_change": (["joint", "tendon"], ["factor", "time"]),
+    "switched_damping": (["joint", "tendon"], ["factor", "speed"]),
+    "coupling": (["two joints"], ["stiffness", "damping"]),
+    "unmodelled_mode": (["body"], ["mass", "stiffness", "damping"]),
+    "input_offset": (["actuator"], ["offset"]),
+    "sensor_offset": (["sensor"], ["offset"]),
+    "sensor_lag": (["sensor"], ["time_constant"]),
+    "sensor_delay": (["sensor"], ["delay"]),
 }
 """Names, places and parameters that users' scripts rely on."""
 SCALES = Scales(
@@ -37,7 +46,8 @@ SCALES = Scales(
 
 def test_the_catalogue_holds_the_contract():
     found = {e.name: describe(e) for e in CATALOGUE}
-    assert set(CONTRACT) <= set(found)
+    assert set(CONTRACT) == set(found)
+    assert len(CONTRACT) == 25
     assert len(found) == len(CATALOGUE)
     for name, (places, parameters) in CONTRACT.items():
         assert found[name]["places"] == places
@@ -116,6 +126,16 @@ UNITS = [
     ("dead_zone", "motor", ["1"]),
     ("input_delay", "motor", ["s"]),
     ("actuator_lag", "motor", ["s"]),
+    ("hysteresis", "spring", ["N", "m", "1"]),
+    ("stiffness_change", "spring", ["1", "s"]),
+    ("switched_damping", "spring", ["1", "m/s"]),
+    ("coupling", "slide,rail", ["N/m", "N s/m"]),
+    ("unmodelled_mode", "rotor", ["kg m^2", "N m/rad", "N m s/rad"]),
+    ("unmodelled_mode", "cart", ["kg", "N/m", "N s/m"]),
+    ("input_offset", "motor", ["1"]),
+    ("sensor_offset", "x", ["m"]),
+    ("sensor_lag", "q", ["s"]),
+    ("sensor_delay", "w", ["s"]),
 ]
 
 
@@ -176,7 +196,7 @@ SENTENCES = [
     ("coulomb_friction@", "is not EFFECT@LOCATION"),
     (
         "coulomb_friction@hing:force=1",
-        "No joint or tendon is called 'hing' in this model. Available: hinge, slide, spring, sl",
+        "No joint or tendon is called 'hing' in this model. Available: hinge, slide, rail, sprin",
     ),
     ("coulomb_friction@motor:force=1", "No joint or tendon is called 'motor'"),
     ("dead_zone@hinge:width=1", "No actuator is called 'hinge'"),
@@ -188,7 +208,10 @@ SENTENCES = [
     ("coulomb_friction@hinge:force=-1", "force=-1 lies outside its bounds 0 to inf."),
     ("coulomb_friction@hinge:force=inf", "force=inf is not a finite number."),
     ("cogging@slide:amplitude=1", "cogging cannot act at slide in this model. Available: hinge."),
-    ("backlash@slack:gap=1", "backlash cannot act at slack in this model. Available: spring."),
+    (
+        "backlash@slack:gap=1",
+        "backlash cannot act at slack in this model. Available: rail, spring.",
+    ),
 ]
 
 

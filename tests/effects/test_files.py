@@ -14,17 +14,23 @@ from tests.plant.rigs import difference, inputs_for, load_text, plain, ranges, r
 from .rigs import NEUTRAL, PRESENT, base, everywhere, with_effect
 
 NATIVE = [e.name for e in CATALOGUE if e.representation == "native"]
-START = np.array([[0.3, 0.02, 1.0, -0.1]])
+RUN_TIME = [e.name for e in CATALOGUE if e.representation == "runtime"]
+START = np.array([[0.3, 0.02, -0.01, 1.0, -0.1, 0.05]])
 
 
 def motion(model, inputs, dt=1e-3, substeps=2, back_end="network"):
-    """Return the joint positions and speeds (n, 4) from one start, activations at rest."""
+    """Return the joints' positions and speeds and the readings (n, 9) from one start, drives at rest."""
     simulator = plain(model, dt, substeps)
     if back_end == "network":
         simulator = make_simulator(model, dt, substeps, ranges(model)).as_engine()
         assert simulator.compiled
-    na = model.compile(simulator.step).model.na
-    return run(simulator, model, inputs, np.hstack([START, np.zeros((1, na))])).states[0, :, :4]
+    plant = model.compile(simulator.step)
+    start = np.hstack([START, np.zeros((1, plant.model.na))])
+    for e in (e for e in plant.elements if e.memory):
+        own = 6 + e.activation
+        start[:, own : own + len(e.memory)] = e.remembered(START[:, :3], START[:, 3:])
+    found = run(simulator, model, inputs, start)
+    return np.hstack([found.states[0, :, :6], found.outputs[0]])
 
 
 def inputs(n=300, level=1.0):
@@ -41,7 +47,7 @@ def test_an_effect_of_no_strength_changes_nothing(name, place, back_end):
     model = with_effect(name, place, **values)
     u, n = inputs(), 300 if back_end == "network" else 100
     tolerance = 1e-9
-    if name == "actuator_lag":  # its shortest lag is half a step
+    if name in ("actuator_lag", "sensor_lag"):  # the shortest lag is half a step
         tolerance = 5e-2
     found = motion(model, u[:n], back_end=back_end)
     expected = motion(base(), u[:n], back_end=back_end)
@@ -104,17 +110,17 @@ def test_a_native_effect_is_in_the_file_for_any_user_of_mujoco(name):
     assert "physid:" not in text
     theirs = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(theirs)
-    data.qpos[:], data.qvel[:] = START[0, :2], START[0, 2:]
+    data.qpos[:], data.qvel[:] = START[0, :3], START[0, 3:]
     found = [START[0]]
     for row in np.repeat(u[:-1], 4, axis=0):
         data.ctrl[:] = row
         mujoco.mj_step(theirs, data)
         found.append(np.concatenate([data.qpos, data.qvel]))
-    ours = motion(model, u, substeps=4)
+    ours = motion(model, u, substeps=4)[:, :6]
     assert difference(np.array(found)[None, ::4], ours[None]) < 3e-5
 
 
-@pytest.mark.parametrize("name", ["stribeck_friction", "backlash", "dead_zone"])
+@pytest.mark.parametrize("name", RUN_TIME)
 def test_a_run_time_effect_leaves_a_file_that_plain_mujoco_loads(name):
     text = with_effect(name).to_xml(1e-3)
     assert f'name="physid:{name}@' in text

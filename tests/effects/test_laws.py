@@ -19,14 +19,18 @@ angle = st.floats(-3.0, 3.0)
 speed = st.floats(-2.0, 2.0)
 sliding = st.one_of(st.floats(0.3, 3.0), st.floats(-3.0, -0.3))
 positive = st.floats(0.0, 5.0)
-COLUMN = {HINGE: np.array([1.0, 0.0]), SLIDE: np.array([0.0, 1.0]), SPRING: np.array([0.1, -1.0])}
+COLUMN = {
+    HINGE: np.array([1.0, 0.0, 0.0]),
+    SLIDE: np.array([0.0, 1.0, 0.0]),
+    SPRING: np.array([0.1, -1.0, 0.0]),
+}
 
 
 def check(name, place, values, position, velocity, law, tolerance=1e-9):
     """Compare what an effect adds with ``law(x, v)`` along the place's row."""
     row = COLUMN[place]
     found = added_force(name, place, values, position, velocity)
-    expected = row * law(row @ np.array(position), row @ np.array(velocity))
+    expected = row * law(row[:2] @ np.array(position), row[:2] @ np.array(velocity))
     scale = max(1.0, np.abs(expected).max())
     assert np.allclose(found, expected, rtol=0, atol=tolerance * scale)
 
@@ -102,7 +106,7 @@ def test_linear_stiffness(q, x, k, place):
 @given(angle, small, speed, speed, st.floats(0.0, 0.3))
 def test_backlash_replaces_spring_and_damper(q, x, w, v, gap):
     row = COLUMN[SPRING]
-    z, rate = row @ [q, x], row @ [w, v]
+    z, rate = row[:2] @ [q, x], row[:2] @ [w, v]
     beyond = z - np.clip(z, -gap / 2, gap / 2)
     engaged = -200 * beyond - 0.3 * rate if beyond else 0.0
     linear = -200 * z - 0.3 * rate
@@ -166,7 +170,7 @@ def test_added_inertia(armature, place):
     masses = []
     for model in (base(), with_effect("added_inertia", place, armature=armature)):
         plant = model.compile(1e-3)
-        data, mass = MjData(plant.model), np.zeros((2, 2))
+        data, mass = MjData(plant.model), np.zeros((3, 3))
         mj_forward(plant.model, data)
         mj_fullM(plant.model, data, mass)
         masses.append(mass)
@@ -207,9 +211,9 @@ def test_a_lag_follows_a_step_exponentially():
     model = with_effect("actuator_lag", "motor", time_constant=tau)
     plant = model.compile(1e-3)
     controls = [np.ones((100, 2))]
-    run = plain(model).run([plant], [np.zeros((1, 5))], controls, np.zeros(1, int), 100)[0]
+    run = plain(model).run([plant], [np.zeros((1, 7))], controls, np.zeros(1, int), 100)[0]
     time = np.arange(100) * 1e-3
-    assert np.allclose(run.states[0, :, 4], 1 - np.exp(-time / tau), atol=1e-7)
+    assert np.allclose(run.states[0, :, 6], 1 - np.exp(-time / tau), atol=1e-7)
 
 
 def test_laws_evaluate_on_arrays_as_written():

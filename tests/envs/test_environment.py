@@ -6,6 +6,7 @@ import physid_envs
 import pytest
 from physid_envs.rigs import RIGS
 
+from physid.errors import InputError
 from tests.envs.rigs import can_draw, make, rollout
 
 ACTIONS = np.random.default_rng(0).uniform(-1, 1, (50, 1))
@@ -150,3 +151,10 @@ def test_pictures(tumbler):
     assert (env.render() != first).any()
     env.close(), env.close()
     assert make("Rig", model=tumbler).render() is None
+
+
+def test_effects_of_sensors_are_refused():
+    with pytest.raises(
+        InputError, match=r"sensor_lag@\w+ is an effect on records; an environment's"
+    ):
+        make(effects=["sensor_lag@drive_angle:time_constant=0.01"])

@@ -16,6 +16,14 @@ HIDDEN = [
     ["input_delay@motor:delay=0.0123"],
     ["dead_zone@motor:width=0.1"],
     ["saturation@motor:limit=0.3"],
+    ["input_offset@motor:offset=0.1"],
+    ["stiffness_change@shaft:factor=0.7,time=0.2"],
+    ["switched_damping@load:factor=5,speed=0.3"],
+    [
+        "hysteresis@load:force=0.1,displacement=0.02,exponent=2",
+        "unmodelled_mode@disc:mass=0.001,stiffness=4,damping=0.001",
+        "actuator_lag@motor:time_constant=0.01",
+    ],
     [
         "dead_zone@motor:width=0.1",
         "input_delay@motor:delay=0.004",

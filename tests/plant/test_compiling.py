@@ -2,7 +2,7 @@
 
 from numba.core import caching
 
-from physid.plant.callback import _callback, own_mark
+from physid.plant.callback import _callbacks, own_mark
 from physid.plant.compiling import kept, kept_c_function
 from physid.plant.law import LAW_SIGNATURE
 
@@ -32,7 +32,7 @@ def test_plain_decoration_works_as_well():
 
 
 def test_kept_code_reads_the_mark_of_its_own_process():
-    _, mark = _callback()
+    mark = _callbacks().mark
 
     @kept
     def read():

@@ -8,8 +8,8 @@ from physid.effects.catalogue import CATALOGUE, add_effects
 from physid.plant.assembly import network_of
 from physid.plant.family import family_of
 
-from .rigs import FRICTION, PENDULUM, load_text
-from .test_network import EFFECTS
+from .rigs import PENDULUM, load_text
+from .test_network import EFFECTS, rig_for
 
 NAMES = ("one.damping", "two.damping", "shaft.stiffness", "shaft.damping", "one.armature")
 
@@ -37,7 +37,7 @@ def largest_difference(ours, theirs):
 
 @pytest.mark.parametrize("effect", [e.name for e in CATALOGUE])
 def test_a_family_gives_the_plants_that_compiling_gives(effect):
-    model, _ = add_effects(load_text(FRICTION), [f"{effect}@{EFFECTS[effect]}"])
+    model, _ = add_effects(rig_for(effect), [f"{effect}@{EFFECTS[effect]}"])
     known = [p.name for p in model.every_parameter()]
     names = [n for n in NAMES if n in known] + model.effect_parameters()
     parameters, at = parameters_of(model, names)
@@ -52,6 +52,9 @@ def test_a_family_gives_the_plants_that_compiling_gives(effect):
     assert ours.time_constants == pytest.approx(theirs.time_constants)
     assert [(k, p.values) for k, p in ours.conditioners] == [
         (k, p.values) for k, p in theirs.conditioners
+    ]
+    assert [(i.channel, i.placed.values) for i in ours.instruments] == [
+        (i.channel, i.placed.values) for i in theirs.instruments
     ]
     again = ours.compiled().model
     assert np.array_equal(again.dof_damping, theirs.model.dof_damping)

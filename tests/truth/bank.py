@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from .excitation import excitation
-from .hidden import KINDS, Kind, Scales, with_effect
+from .hidden import BANK, KINDS, Kind, Scales, with_effect
 from .integrator import simulate
 from .plants import Array, Plant
 from .rigs import RIGS, draw_nominal, draw_truth, mjcf, plant, true_parameters
@@ -25,6 +25,7 @@ SIGNALS = ("m_sequence", "multisine")
 SMALLEST, LEAST_OVER_NOISE = 0.03, 4.0  # change of the response by an effect, and over the noise
 LARGEST_GROWTH = 10.0  # of a small change of the start: beyond, no model can follow the record
 TRIES = 60
+LEAD = 150  # samples of the motion before a record of a sensor with a memory
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,7 +106,7 @@ def cases(
         (rig, kind.effect, place, level)
         for rig in rigs
         for level in noise
-        for kind in KINDS.values()
+        for kind in BANK
         for place in (("-",) * nulls if kind.effect == "nothing" else kind.places[rig])
     ]
     order = rng.permutation(len(slots))[:limit]
@@ -306,7 +307,9 @@ def _truth(
     like = case if like is None else like
     rig, number = RIGS[case.rig], ("train", "test").index(which)
     rng = np.random.default_rng([case.seed, 3, number])
-    samples = round(case.seconds / rig.period)
+    reads = KINDS[like.effect].read is not None
+    lead = LEAD if reads else 0  # a sensor remembers what was before the record
+    samples = round(case.seconds / rig.period) + lead
     inputs = excitation(
         _signals(like)[number],
         samples,
@@ -324,11 +327,15 @@ def _truth(
         plant(rig, _values(like)[0]), rig, case.effect, case.location, case.parameters
     )
     position, _ = simulate(equations, inputs, rig.period, *start, substeps=substeps)
+    read = KINDS[case.effect].read
+    if read is not None:
+        i = rig.sensors.index(case.location)
+        position[:, i] = read(position[:, i], rig.period, case.parameters)
     columns: dict[str, Array] = {
-        "time": np.arange(samples, dtype=np.float64) * rig.period,
-        rig.actuator: inputs,
+        "time": np.arange(samples - lead, dtype=np.float64) * rig.period,
+        rig.actuator: inputs[lead:],
     }
-    return columns | {sensor: position[:, i] for i, sensor in enumerate(rig.sensors)}
+    return columns | {sensor: position[lead:, i] for i, sensor in enumerate(rig.sensors)}
 
 
 def _scales(case: Case, bare: Columns) -> Scales:
@@ -337,7 +344,10 @@ def _scales(case: Case, bare: Columns) -> Scales:
     angles = np.column_stack([bare[sensor] for sensor in rig.sensors])
     values = _values(case)[0]
     equations = plant(rig, values)
-    e = 0 if case.location == rig.actuator else rig.elements.index(case.location)
+    if case.location in rig.sensors:
+        e = rig.sensors.index(case.location)
+    else:
+        e = 0 if case.location == rig.actuator else rig.elements.index(case.location)
     along = angles @ equations.element[e]
     return Scales(
         torque=rig.torque,

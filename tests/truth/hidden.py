@@ -1,6 +1,6 @@
 """Hidden effects: what each does to the plant, where it may sit, and how strong it is drawn.
 
-Laws and parameter names are those of physid's catalogue, written here a second time. The last three
+Laws and parameter names are those of physid's catalogue, written here a second time; the last
 kinds lie outside what a first catalogue holds.
 """
 
@@ -13,33 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from . import readings
 from .plants import Plant
+from .readings import Read, Scales, Strength
 from .rigs import Rig
-
-Strength = Mapping[str, float]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Scales:
-    """Size of the motion without the effect, at the place where the effect is to sit (rms)."""
-
-    torque: float  # N m
-    travel: float  # rad
-    speed: float  # rad/s
-    stiffness: float  # N m/rad, of the element's spring; 1.5 where it has none
-    inertia: float  # kg m2
-    mode: float  # Hz
-    duration: float  # s
-    restoring: bool  # whether gravity or a spring holds the rig about a place
-
-    @property
-    def force(self) -> float:
-        """The torque that effects are measured by: a fifth on a free shaft, which wanders.
-
-        A friction that a rig held by a spring hardly shows bends a free one's whole path.
-        """
-        return self.torque if self.restoring else 0.2 * self.torque
-
 
 Draw = Callable[[np.random.Generator, Scales], dict[str, float]]
 Apply = Callable[[Plant, int, Strength], Plant]
@@ -51,21 +28,24 @@ class Kind:
 
     ``fit`` lists rigs for which "auto" would free a parameter that contains the effect, so that
     the case says what is free. ``many_levels`` asks for a multisine: clipping or a dead zone hardly
-    shows in a signal of few levels.
+    shows in a signal of few levels. ``read`` is what an effect on a sensor makes of its angle.
     """
 
     effect: str
     places: Mapping[str, tuple[str, ...]]
     draw: Draw
-    apply: Apply
+    apply: Apply = lambda plant, e, strength: plant
     explicit: tuple[str, ...] = ()
     many_levels: bool = False
+    read: Read | None = None
     outside: bool = False
 
 
 def with_effect(plant: Plant, rig: Rig, effect: str, location: str, strength: Strength) -> Plant:
     """The plant with this effect at this joint, tendon or actuator."""
     if effect == "nothing":
+        return plant
+    if KINDS[effect].read is not None:
         return plant
     index = 0 if location == rig.actuator else rig.elements.index(location)
     return KINDS[effect].apply(plant, index, strength)
@@ -149,6 +129,10 @@ def _delay(plant: Plant, _: int, p: Strength) -> Plant:
 
 def _lag(plant: Plant, _: int, p: Strength) -> Plant:
     return plant._replace(lag=p["time_constant"])
+
+
+def _offset(plant: Plant, _: int, p: Strength) -> Plant:
+    return plant._replace(offset=p["offset"])
 
 
 def _hysteresis(plant: Plant, e: int, p: Strength) -> Plant:
@@ -283,13 +267,8 @@ def _places(two: str, servo: str) -> Mapping[str, tuple[str, ...]]:
 
 _SERVO = ("pendulum_servo",)
 
-_ALL = (
-    Kind(
-        effect="nothing",
-        places=_places("- -", "- -"),
-        draw=_draw_nothing,
-        apply=lambda plant, e, p: plant,
-    ),
+BANK = (
+    Kind(effect="nothing", places=_places("- -", "- -"), draw=_draw_nothing),
     Kind(
         effect="viscous_damping",
         places=_places("drive load", "hinge"),
@@ -391,4 +370,29 @@ _ALL = (
     ),
 )
 
-KINDS: Mapping[str, Kind] = MappingProxyType({kind.effect: kind for kind in _ALL})
+EXTRA = (
+    Kind(
+        effect="input_offset",
+        places=_places("motor", "motor"),
+        draw=lambda rng, s: {"offset": _draw_load(rng, s)["force"]},
+        apply=_offset,
+        outside=True,
+    ),
+    *(
+        Kind(
+            effect=effect,
+            places=_places("load_angle", "angle"),
+            draw=draw,
+            read=read,
+            outside=True,
+        )
+        for effect, draw, read in (
+            ("sensor_offset", readings.draw_reading_offset, readings.read_off),
+            ("sensor_delay", readings.draw_reading_delay, readings.read_late),
+            ("sensor_lag", readings.draw_reading_lag, readings.read_slowly),
+        )
+    ),
+)
+"""Kinds that a bank does not hold: they were no part of the first one."""
+
+KINDS: Mapping[str, Kind] = MappingProxyType({kind.effect: kind for kind in (*BANK, *EXTRA)})

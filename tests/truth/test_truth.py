@@ -9,7 +9,7 @@ import pytest
 
 from . import bank
 from .baseline import best_without
-from .hidden import KINDS
+from .hidden import BANK, KINDS
 from .integrator import simulate
 from .rigs import RIGS, draw_nominal, draw_truth, mjcf, plant
 
@@ -85,8 +85,9 @@ def test_noise_is_what_the_case_says():
 
 def test_bank_holds_every_effect_at_every_place():
     drawn = bank.cases(3, rigs=("pendulum_servo",), noise=(0.01,), nulls=2, seconds=SHORT)
-    counts = {k: sum(case.effect == k for case in drawn) for k in KINDS}
-    assert counts == dict.fromkeys(KINDS, 1) | {"nothing": 2}
+    names = [kind.effect for kind in BANK]
+    counts = {k: sum(case.effect == k for case in drawn) for k in names}
+    assert counts == dict.fromkeys(names, 1) | {"nothing": 2}
     assert len({case.name for case in drawn}) == len(drawn)
     first = bank.cases(3, rigs=("pendulum_servo",), noise=(0.01,), nulls=2, seconds=SHORT, limit=3)
     assert first == drawn[:3]
