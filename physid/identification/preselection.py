@@ -26,7 +26,8 @@ from physid.identification.force_balance import (
     widths,
 )
 from physid.identification.problem import Problem
-from physid.identification.screening import orthonormal, scales_of, values_of, with_shape
+from physid.identification.screening import orthonormal, values_of, with_shape
+from physid.identification.sizes import scales_of
 from physid.plant.callback import run_time_laws
 from physid.plant.effect import Effect, Trial
 from physid.plant.model import Model
