@@ -38,8 +38,8 @@ class Judgement:
 class Bench:
     """The base model on judging windows: its states fitted there, and what its parameters could explain.
 
-    ``remaining`` (m,) is its residual with the windows' states projected out, ``basis`` (m, k) spans what
-    its parameters do, ``point`` the linearisation behind both.
+    ``point`` is the linearisation there, whose ``remaining`` (m,) is the residual with the windows' states
+    projected out; ``basis`` (m, k) spans what the base's parameters do.
     """
 
     problem: Problem

@@ -1,0 +1,44 @@
+"""Windows whose initial state was guessed on the wrong side of a gap start anew."""
+
+import numpy as np
+import pytest
+
+from physid.effects.catalogue import load_model
+from physid.identification import staged
+from physid.identification.staged import LONG, states_only, windowed
+from physid.identification.study import Options, prepare
+from physid.identification.windows import initial_states
+from tests.truth.bank import draw, make, with_names, write
+
+
+@pytest.fixture(scope="module")
+def problem(tmp_path_factory):
+    """Two inertias with play in the shaft, every parameter at its true value, on long windows."""
+    folder = tmp_path_factory.mktemp("play")
+    case = with_names(draw("two_inertia", "backlash", "shaft", 0.003, seed=1968636898))
+    made = make(case)
+    write(made, folder)
+    own = {n: v for n, v in made.parameters.items() if "@" not in n}
+    study = prepare(
+        load_model(folder / "model.xml").with_values(own),
+        [folder / "train.csv"],
+        Options(fit=[], add=[f"backlash@shaft:gap={case.parameters['gap']!r}"]),
+    )
+    return windowed(study.problem, LONG)
+
+
+def worst(problem):
+    return max(float(np.mean(r**2, axis=(1, 2)).max()) for r in states_only(problem).residuals)
+
+
+def test_a_window_on_the_wrong_side_of_a_gap_is_mended(problem, monkeypatch):
+    assert worst(problem) < 2.0
+    monkeypatch.setattr(staged, "OUTSTANDING", np.inf)
+    assert worst(problem) > 100.0
+
+
+def test_what_a_spring_joins_moves_together_if_asked(problem):
+    windows = problem.windows[0]
+    speeds = initial_states(problem.model, windows, together=True)[:, 2:]
+    assert speeds[:, 0] == pytest.approx(speeds[:, 1], rel=1e-3, abs=1e-3)
+    assert np.ptp(initial_states(problem.model, windows)[:, 2:], axis=1).max() > 0.1
