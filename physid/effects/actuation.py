@@ -98,9 +98,6 @@ class DeadZone(Effect):
     )
     fractions: ClassVar[tuple[float, ...]] = (0.02, 0.15, 0.4)
 
-    def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
-        """Nothing: the input is conditioned before the engine sees it."""
-
     def possible(self, model: mujoco.MjModel, structure: Structure, place: Place) -> bool:
         return place.name in structure.inputs
 

@@ -64,9 +64,6 @@ class Hysteresis(Effect):
     def possible(self, model: mujoco.MjModel, structure: Structure, place: Place) -> bool:
         return spring_coordinate(model, place) is not None
 
-    def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
-        """Nothing: the law is a run-time one."""
-
     def elements(
         self, model: mujoco.MjModel, place: Place, values: Mapping[str, float]
     ) -> tuple[Element, ...]:

@@ -34,9 +34,6 @@ class SensorOffset(Effect):
     def possible(self, model: mujoco.MjModel, structure: Structure, place: Place) -> bool:
         return reads_one_number(structure, place)
 
-    def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
-        """Nothing: the reading is changed after the engine."""
-
     def observe(self, y: np.ndarray, memory: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
         return y + values["offset"]
 
@@ -72,9 +69,6 @@ class SensorLag(Effect):
 
     def possible(self, model: mujoco.MjModel, structure: Structure, place: Place) -> bool:
         return sensor_rows(model, element_id(model, place)) is not None
-
-    def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
-        """Nothing: the law is a run-time one."""
 
     def elements(
         self, model: mujoco.MjModel, place: Place, values: Mapping[str, float]
@@ -125,9 +119,6 @@ class SensorDelay(Effect):
     searched = False
     coefficients = (Coefficient(name="delay", unit="s", meaning="dead time", shape=True),)
     samples: ClassVar[tuple[float, ...]] = (1.0, 4.0, 15.0)
-
-    def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
-        """Nothing: the reading is changed after the engine."""
 
     def export(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
         if values["delay"] > 0.0:

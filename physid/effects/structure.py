@@ -121,9 +121,6 @@ class UnmodelledMode(Effect):
     def possible(self, model: mujoco.MjModel, structure: Structure, place: Place) -> bool:
         return structure.nq == structure.nv and body_row(model, place.name) is not None
 
-    def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
-        """Nothing: the law is a run-time one."""
-
     def elements(
         self, model: mujoco.MjModel, place: Place, values: Mapping[str, float]
     ) -> tuple[Element, ...]:

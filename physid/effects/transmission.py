@@ -53,9 +53,6 @@ class Backlash(Effect):
     def possible(self, model: mujoco.MjModel, structure: Structure, place: Place) -> bool:
         return spring_coordinate(model, place) is not None and stiffness_of(model, place) > 0.0
 
-    def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
-        """Nothing: the law is a run-time correction."""
-
     def elements(
         self, model: mujoco.MjModel, place: Place, values: Mapping[str, float]
     ) -> tuple[Element, ...]:

@@ -156,8 +156,9 @@ class Effect(ABC):
         """Say whether the effect makes sense at a place of this model."""
         return True
 
-    @abstractmethod
-    def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
+    def edit(  # noqa: B027 - what acts at run time alone has nothing to write
+        self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]
+    ) -> None:
         """Write the effect into an MJCF specification (nothing, for a pure run-time law)."""
 
     def export(  # noqa: B027 - most effects write the same into files
