@@ -118,7 +118,7 @@ def _ranked(
                 refit=fit,
                 score=score(base, fit, tuple(base.fits)),
                 explained=explained(base, fit),
-                p_value=min(1.0, judgement.p_value * max(attempts, 1)),
+                p_value=min(1.0, judgement.p_value * max(attempts, 1) * fit.instants),
                 judgement=judgement,
             )
         )

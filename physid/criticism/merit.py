@@ -8,6 +8,8 @@ import numpy as np
 
 from physid.criticism.evidence import colour
 from physid.criticism.refit import Base, Refit
+from physid.identification.problem import Problem
+from physid.identification.windows import state_indices
 
 LEAST_GAIN = 12.0
 """Smallest fall of the information criterion that is not chance."""
@@ -16,18 +18,27 @@ NOISE_LIKE = 1.25
 
 
 def score(base: Base, fit: Refit, horizons: Sequence[str]) -> float:
-    """Return the mean over horizons of n_eff log(squares after / before), plus extra log n_eff.
+    """Return the mean over horizons of n_eff log(variance after / before), plus extra log n_eff.
 
     It is Bayes' information criterion (Schwarz, Ann. Stat. 6, 1978) with n over the residual's
-    correlation time for the number of samples.
+    correlation time for the number of samples.  The variances are squares over what the windows' free
+    initial states leave of the measurements, so that a memory's own are no advantage.
     """
     total = 0.0
     sizes: list[float] = []
     for horizon in horizons:
         size = effective_samples(base, fit, horizon)
         sizes.append(size)
-        total += size * np.log(max(fit.ratio(base, horizon), 1e-12))
+        left = _freedom(base.problems[horizon], base.problems[horizon])
+        share = left / _freedom(base.problems[horizon], fit.problem)
+        total += size * np.log(max(share * fit.ratio(base, horizon), 1e-12))
     return float(total / len(horizons) + fit.extra * np.log(max(float(np.mean(sizes)), 2.0)))
+
+
+def _freedom(windowed: Problem, problem: Problem) -> int:
+    """Return what the initial states of a problem's model leave of measurements on some windows."""
+    windows = sum(len(w.starts) for w in windowed.windows)
+    return max(windowed.measurements() - windows * len(state_indices(problem.model)), 1)
 
 
 def effective_samples(base: Base, fit: Refit, horizon: str) -> float:

@@ -46,13 +46,8 @@ class Base:
     fits: dict[str, Estimate]
     points: dict[str, Reduced]
 
-    def guess(self, problem: Problem, horizon: str) -> Guess | None:
-        """Return how to linearise a candidate roughly: what it shares with the base is known.
-
-        None where the candidate has a memory that the base has not: its initial states are others.
-        """
-        if problem.model.memory != self.problems[horizon].model.memory:
-            return None
+    def guess(self, problem: Problem, horizon: str) -> Guess:
+        """Return how to linearise a candidate roughly: what it shares with the base is known."""
         names = [p.name for p in self.problems[horizon].parameters]
         return partial(extended, self.points[horizon], names, problem)
 
@@ -62,7 +57,8 @@ class Refit:
     """A candidate fitted on the choosing data.
 
     ``added`` are the effects it adds to the base model (their starting values); ``fits`` its estimate
-    per horizon; ``extra`` the number of coefficients more than the base has.
+    per horizon; ``extra`` the number of coefficients more than the base has; ``instants`` how many
+    instants of a change were tried on the data kept for judging.
     """
 
     added: tuple[Placed, ...]
@@ -70,6 +66,7 @@ class Refit:
     fits: dict[str, Estimate]
     extra: int
     rank: int
+    instants: int = 1
 
     @property
     def fitted(self) -> tuple[Placed, ...]:

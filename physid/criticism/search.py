@@ -2,40 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from itertools import zip_longest
 
 import numpy as np
 
 from physid.criticism.evidence import nrmse
+from physid.criticism.grounds import Group, grounds_of, screened, undistorted
 from physid.criticism.merit import LEAST_GAIN, NOISE_LIKE, explained, halves, noise_like, score
 from physid.criticism.refit import (
     HORIZONS,
     Base,
     Refit,
     Start,
-    alike,
     choosing_spans,
+    judging_spans,
     refit,
     start_of,
     with_block,
     without_partner,
 )
+from physid.criticism.timing import between_stretches
 from physid.effects.catalogue import CATALOGUE
 from physid.errors import NumericsError
-from physid.identification.estimate import Estimate
 from physid.identification.linearisation import reduce
-from physid.identification.preselection import preselected
 from physid.identification.problem import Problem
-from physid.identification.screening import Scored, possible_candidates, screen, shortlist
+from physid.identification.screening import possible_candidates
 from physid.identification.staged import (
     ENOUGH,
     Spans,
     compiled,
     fit_windows,
-    states_only,
     thinned,
     windowed,
 )
@@ -47,12 +45,8 @@ REFITS = 4
 """Candidates refitted from each of the two screenings."""
 TRIALS = 3
 """Shapes of each that are started from."""
-MOST_STARTS = 6
-"""Starts of one candidate, over all screenings."""
 PARTNERS = 3
 """Best single effects that get a partner, and partners tried from each screening."""
-RUNAWAY = 8.0
-"""Times its own value beyond which a parameter was driven there by what the model lacks."""
 SHOWN = 6
 """Candidates fitted on whole stretches and reported."""
 FEW = 3
@@ -60,6 +54,8 @@ FEW = 3
 RIVAL, RIVAL_ON_ENGINE = 30.0, 3.0
 """Mean squares over the noise's, after a first step, above which nothing rivals a candidate that leaves
 noise alone; at most half of what the model leaves.  The second where MuJoCo takes its time."""
+NEARLY = 0.01
+"""... or this share of the squares that the model leaves: a step that takes so much leads somewhere."""
 NOISE_ALONE = 1.03
 """A residual within this factor leaves nothing for an effect that contains the one that left it; not
 asked for where MuJoCo simulates, whose friction leaves more than noise at any step."""
@@ -91,34 +87,38 @@ def search(
     """
     report(f"screening {len(candidates)} candidates", 0.0)
     long = base.problems["long"]
-    grounds = _grounds(base.problems, base.fits)
+    grounds = grounds_of(base.problems, base.fits)
     if base.fits["long"].squares > NOISE_LIKE * long.measurements():
         with suppress(NumericsError):
-            grounds.insert(0, (long, _undistorted(study, long)))
+            grounds.insert(0, (long, undistorted(study, long)))
     if not compiled(long):
         del grounds[1:]
-    groups = _screened(grounds, candidates, REFITS, TRIALS)
-    scales = {g[0].place: g[0].scales for g in groups}
+    groups = screened(grounds, candidates, REFITS, TRIALS)
+    scales = {g.place: g.scales for g in groups}
     rival = RIVAL if compiled(long) else RIVAL_ON_ENGINE
-    limit = min(rival * long.measurements(), 0.5 * base.fits["long"].squares)
+    worst = base.fits["long"].squares
+    limit = min(max(rival * long.measurements(), NEARLY * worst), 0.5 * worst)
+    kept = windowed(study.problem, HORIZONS["long"], judging_spans)
     fits: list[Refit] = []
     later: list[int] = []
     # Effects without a shape cost least, and may make it needless to follow the others.
-    order = sorted(range(len(groups)), key=lambda k: _shaped(groups[k][0].effect))
+    order = sorted(range(len(groups)), key=lambda k: _shaped(groups[k].effect))
     for done, k in enumerate(order):
         group = groups[k]
-        report(f"refitting {group[0].effect.name}", 0.15 + 0.5 * done / len(groups))
+        report(f"refitting {group.effect.name}", 0.15 + 0.5 * done / len(groups))
         explaining = [f for f in fits if noise_like(base, f)]
-        if any(_contains(group[0], f) for f in explaining):
+        if any(_contains(group, f) for f in explaining):
             later.append(k)
             continue
-        near = limit if explaining else np.inf
-        fits += _refitted(base, long, group, k, near)
+        # What looks like one of them in every way is followed however its first step ends.
+        twin = any(group.is_twin(groups[f.rank]) for f in explaining)
+        near = limit if explaining and not twin else np.inf
+        fits += _refitted(base, long, kept, group, k, near)
     fits = _best_with_blocks(base, _with_siblings(base, fits, scales), scales)
     factor = NOISE_ALONE if compiled(long) else NOISE_LIKE
     if later and fits and not noise_like(base, fits[0], factor):
         report("refitting what contains it", 0.65)
-        fits += [f for k in later for f in _refitted(base, long, groups[k], k)]
+        fits += [f for k in later for f in _refitted(base, long, kept, groups[k], k)]
         fits = _best_with_blocks(base, _better_of(fits, base), scales)
     partnered = _wanting_partners(base, fits)
     if not partnered:
@@ -132,25 +132,26 @@ def search(
 
 
 def _refitted(
-    base: Base, problem: Problem, group: Sequence[Scored], rank: int, near: float = np.inf
+    base: Base,
+    problem: Problem,
+    kept: Problem,
+    group: Group,
+    rank: int,
+    near: float = np.inf,
 ) -> list[Refit]:
     """Refit one effect at one place from all its starts; empty where it cannot be."""
-    found = refit(base, problem, _starts(group), group[0].scales, rank=rank, near=near)
-    return [] if found is None else [found]
+    found = refit(base, problem, group.starts, group.scales, rank=rank, near=near)
+    return [] if found is None else [between_stretches(found, kept)]
 
 
 def _shaped(effect: Effect) -> bool:
     return any(c.shape or c.fixed for c in effect.coefficients)
 
 
-def _contains(scored: Scored, fit: Refit) -> bool:
+def _contains(group: Group, fit: Refit) -> bool:
     """Say whether an effect contains a fitted one at its place: it can only be as good or better."""
     own = fit.added[0]
-    return scored.place == own.place and own.effect.name in scored.effect.supersedes
-
-
-def _starts(group: Sequence[Scored]) -> list[Start]:
-    return [Start(s.start, s.theta) for s in group]
+    return group.place == own.place and own.effect.name in group.effect.supersedes
 
 
 def windows_of(study: Study, horizon: str, spans: Spans) -> Problem:
@@ -175,57 +176,6 @@ def base_of(study: Study) -> Base:
         pass
     points = {h: reduce(problems[h], f.theta, f.states, f.residuals) for h, f in fits.items()}
     return Base(problems=problems, fits=fits, points=points)
-
-
-def _undistorted(study: Study, problem: Problem) -> Estimate:
-    """Return the study's start as a ground for screening.
-
-    Under a large missing effect the best fit is a distorted one, at which nothing looks like itself;
-    the start, from the force balance or short windows, is nearer the truth.  Where even that has run
-    away along a valley, the model's own values are.
-    """
-    nominal = problem.start()
-    size = np.array([max(abs(p.value), p.scale) for p in problem.parameters])
-    theta = nominal if np.any(np.abs(study.theta) > RUNAWAY * size) else study.theta
-    found = states_only(replace(problem, model=problem.at(theta)))
-    return replace(found, theta=theta)
-
-
-def _grounds(
-    problems: Mapping[str, Problem], fits: Mapping[str, Estimate]
-) -> list[tuple[Problem, Estimate]]:
-    """Return where a model is held to its candidates: every horizon, or the long one in MuJoCo."""
-    return [(problems[h], fits[h]) for h in fits if h == "long" or compiled(problems[h])]
-
-
-def _screened(
-    grounds: Sequence[tuple[Problem, Estimate]],
-    candidates: Sequence[tuple[Effect, Place]],
-    most: int,
-    per_effect: int,
-) -> list[list[Scored]]:
-    """Screen on several grounds and join the shortlists, alternating.
-
-    What one ground proposes starts in the shapes that all of them see.  A ground near which the
-    simulation diverges is none.  Where MuJoCo simulates, the force balance chooses first.
-    """
-    if not compiled(grounds[0][0]):
-        candidates = preselected(*grounds[0], candidates)
-    screens = []
-    for problem, fit in grounds:
-        with suppress(NumericsError):
-            screens.append(screen(problem, fit, candidates, per_effect))
-    chosen = dict.fromkeys(
-        site for row in zip_longest(*(shortlist(s, most) for s in screens)) for site in row if site
-    )
-    groups = []
-    for site in chosen:
-        known: list[Scored] = []
-        for scored in screens:
-            own = [s for s in scored if (s.effect.name, s.place) == site]
-            known += [s for s in own if not any(alike(s.start, k.start) for k in known)]
-        groups.append(known[:MOST_STARTS])
-    return groups
 
 
 def _with_siblings(base: Base, fits: list[Refit], scales: dict[Place, Scales]) -> list[Refit]:
@@ -331,13 +281,13 @@ def _pairs(
                 a.effect.name in effect.supersedes and a.place == place for a in single.added
             )
         ]
-        grounds = _grounds(problems, single.fits)
-        for group in _screened(grounds, rest, most, 1):
+        grounds = grounds_of(problems, single.fits)
+        for group in screened(grounds, rest, most, 1):
             pair = refit(
                 base,
                 problems["long"],
-                _starts(group),
-                group[0].scales,
+                group.starts,
+                group.scales,
                 rank=single.rank,
                 already=single.added,
             )
@@ -348,6 +298,8 @@ def _pairs(
                 continue
             if any(halves(base, single, pair, h) for h in base.fits):
                 found.append(_ordered(base, pair, fits))
+        if any(noise_like(base, pair, NOISE_ALONE) for pair in found):
+            break  # no pair from a worse single can do better
     return found
 
 

@@ -191,7 +191,6 @@ class InputOffset(Effect):
     law = "u + offset"
     source = "Janot, Gautier, Brunot, EMPS benchmark (2019), section 2; MuJoCo actuator bias"
     kinds = ("actuator",)
-    searched = False
     coefficients = (
         Coefficient(name="offset", unit="{x}", meaning="added to the input", lower=-np.inf),
     )

@@ -47,7 +47,6 @@ class Hysteresis(Effect):
     )
     kinds = ("joint", "tendon")
     representation = "runtime"
-    searched = False
     memory = ("unit",)
     coefficients = (
         Coefficient(name="force", unit="{f}", meaning="largest hysteretic force F"),

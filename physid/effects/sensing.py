@@ -26,7 +26,6 @@ class SensorOffset(Effect):
     source = "Doebelin, Measurement systems (2004), ch. 3: zero drift"
     kinds = ("sensor",)
     representation = "runtime"
-    searched = False
     coefficients = (
         Coefficient(name="offset", unit="{x}", meaning="added to the reading", lower=-np.inf),
     )
@@ -60,7 +59,6 @@ class SensorLag(Effect):
     source = "Doebelin, Measurement systems (2004), ch. 3: first-order instruments"
     kinds = ("sensor",)
     representation = "runtime"
-    searched = False
     memory = ("reading",)
     coefficients = (
         Coefficient(name="time_constant", unit="s", meaning="lag", lower=1e-5, shape=True),
@@ -116,7 +114,6 @@ class SensorDelay(Effect):
     source = "MuJoCo sensor delay"
     kinds = ("sensor",)
     representation = "runtime"
-    searched = False
     coefficients = (Coefficient(name="delay", unit="s", meaning="dead time", shape=True),)
     samples: ClassVar[tuple[float, ...]] = (1.0, 4.0, 15.0)
 

@@ -106,7 +106,6 @@ class UnmodelledMode(Effect):
     source = "Den Hartog, Mechanical vibrations (1956), ch. 3: the dynamic absorber"
     kinds = ("body",)
     representation = "runtime"
-    searched = False
     memory = ("position", "speed")
     coefficients = (
         Coefficient(
@@ -115,8 +114,8 @@ class UnmodelledMode(Effect):
         Coefficient(name="stiffness", unit="{f}/{x}", meaning="of its spring", shape=True),
         Coefficient(name="damping", unit="{f}/({v})", meaning="of its damper", shape=True),
     )
-    frequencies: ClassVar[tuple[float, ...]] = (0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.7, 8.0, 11.0, 16.0)
-    ratio: ClassVar[float] = 0.05
+    spacing: ClassVar[float] = 1.35
+    ratios: ClassVar[tuple[float, ...]] = (0.02, 0.06, 0.2)
 
     def possible(self, model: mujoco.MjModel, structure: Structure, place: Place) -> bool:
         return structure.nq == structure.nv and body_row(model, place.name) is not None
@@ -137,17 +136,24 @@ class UnmodelledMode(Effect):
         )
 
     def trials(self, scales: Scales) -> Sequence[Trial]:
-        slowest, mass = scales.speed / scales.position, SMALL * scales.force / scales.acceleration
-        found = []
-        for share in self.frequencies:
-            w = share * slowest
-            column = {
-                "mass": mass,
-                "stiffness": mass * w**2,
-                "damping": 2.0 * self.ratio * mass * w,
-            }
-            found.append(Trial(columns=(column,), label=f"{w:.3g} rad/s"))
-        return tuple(found)
+        # From below the slowest of the motion to beyond the fastest.
+        low = 0.7 * scales.speed / scales.position
+        high = max(3.0 * scales.acceleration / scales.speed, 20.0 * low)
+        count = round(np.log(high / low) / np.log(self.spacing)) + 1
+        return tuple(self._trial(w, self.ratios[1], scales) for w in np.geomspace(low, high, count))
+
+    def closer(self, trial: Trial, scales: Scales, level: int) -> Sequence[Trial]:
+        mode = trial.columns[0]
+        w = np.sqrt(mode["stiffness"] / mode["mass"])
+        ratio = mode["damping"] / (2.0 * mode["mass"] * w)
+        shift = self.spacing ** (0.5**level)
+        found = [self._trial(w * shift**k, ratio, scales) for k in (-1, 1)]
+        return (*found, *(self._trial(w, r, scales) for r in self.ratios if r != ratio))
+
+    def _trial(self, w: float, ratio: float, scales: Scales) -> Trial:
+        mass = SMALL * scales.force / scales.acceleration
+        column = {"mass": mass, "stiffness": mass * w**2, "damping": 2.0 * ratio * mass * w}
+        return Trial(columns=(column,), label=f"{w:.3g} rad/s")
 
     def start(self, trial: Trial, amplitudes: np.ndarray, scales: Scales) -> dict[str, float]:
         size = max(float(amplitudes[0]), 0.1)

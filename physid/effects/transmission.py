@@ -137,7 +137,6 @@ class Coupling(Effect):
     law = "-k (q1 - q2) - d (v1 - v2)"
     source = "Meirovitch, Fundamentals of vibrations (2001), ch. 7; MuJoCo fixed tendon"
     kinds = ("pair",)
-    searched = False
     coefficients = (
         Coefficient(name="stiffness", unit="{f}/{x}", meaning="force per relative displacement"),
         Coefficient(name="damping", unit="{f}/({v})", meaning="force per relative speed"),

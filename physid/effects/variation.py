@@ -46,10 +46,11 @@ class StiffnessChange(Effect):
     kinds = ("joint", "tendon")
     representation = "runtime"
     timed = True
-    searched = False
     coefficients = (
         Coefficient(name="factor", unit="1", meaning="stiffness after over stiffness before"),
-        Coefficient(name="time", unit="s", meaning="of the change, in the record", shape=True),
+        Coefficient(
+            name="time", unit="s", meaning="of the change, in the record", shape=True, instant=True
+        ),
     )
     shares: ClassVar[tuple[float, ...]] = tuple(k / 16 for k in range(1, 16))
 
@@ -112,7 +113,6 @@ class SwitchedDamping(Effect):
     source = "Milliken, Milliken, Race car vehicle dynamics (1995), ch. 22: blow-off valves"
     kinds = ("joint", "tendon")
     representation = "runtime"
-    searched = False
     coefficients = (
         Coefficient(name="factor", unit="1", meaning="damping beyond the speed over that below"),
         Coefficient(name="speed", unit="{v}", meaning="at which it switches", shape=True),

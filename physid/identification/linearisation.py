@@ -108,13 +108,16 @@ class Reduced:
         """Fall of the squares when the initial states alone take their best values."""
         return max(self.squares - float(self.residual @ self.residual), 0.0)
 
-    def at(self, residuals: list[np.ndarray]) -> Reduced:
-        """Return the same columns beside another residual, (w, samples, ny) per experiment."""
+    def at(self, residuals: list[np.ndarray], nx: int | None = None) -> Reduced:
+        """Return the same columns beside another residual, (w, samples, ny) per experiment.
+
+        The first ``nx`` columns are the initial states', as many as before if not given.
+        """
         factors = []
         for rows, residual in zip(self.rows, residuals, strict=True):
             flat = residual.reshape(len(rows), -1, 1)
             factors.append(triangular(np.concatenate([rows, flat], axis=2)))
-        nx = self.solvers[0].shape[1]
+        nx = self.solvers[0].shape[1] if nx is None else nx
         return replace(_without_states(factors, nx, residuals), rows=self.rows)
 
     def updated(
@@ -202,7 +205,8 @@ def extended(
     Parameters
     ----------
     known : Reduced
-        Of a problem on the same windows with other effects, near the point.
+        Of a problem on the same windows with other effects, near the point; what memory it has comes
+        before that of the others.
     names : sequence of str
         Its parameters.
 
@@ -216,21 +220,28 @@ def extended(
     steps = parameter_steps(problem.parameters, theta)
     own = [k for k, p in enumerate(problem.parameters) if p.name not in names]
     thetas = [theta + steps[k] * np.eye(len(theta))[k] for k in own]
-    nx = known.solvers[0].shape[1]
-    runs = residuals_of(problem, thetas, [states] * len(thetas)) if own else []
+    shared = known.solvers[0].shape[1]
+    free = state_indices(problem.model)
+    nx, scales = len(free), state_scales(problem.model, states)
+    fresh = range(shared, nx)
+    moved = [[_shifted(x, free[i], STEP * scales[i]) for x in states] for i in fresh]
+    sizes = [*(STEP * scales[i] for i in fresh), *(steps[k] for k in own)]
+    places = [*fresh, *(nx + k for k in own)]
+    starts = [*moved, *[states] * len(own)]
+    runs = residuals_of(problem, [*[theta] * len(moved), *thetas], starts) if starts else []
     rows = []
     for e, (old, base) in enumerate(zip(known.rows, residuals, strict=True)):
         found = np.empty((len(old), nx + len(theta), old.shape[1])).transpose(0, 2, 1)
-        found[:, :, :nx] = old[:, :, :nx]
+        found[:, :, :shared] = old[:, :, :shared]
         for k, p in enumerate(problem.parameters):
             if p.name in names:
-                found[:, :, nx + k] = old[:, :, nx + names.index(p.name)]
-        for k, run in zip(own, runs, strict=True):
-            found[:, :, nx + k] = ((base - run[e]) / steps[k]).reshape(len(old), -1)
+                found[:, :, nx + k] = old[:, :, shared + names.index(p.name)]
+        for place, size, run in zip(places, sizes, runs, strict=True):
+            found[:, :, place] = ((base - run[e]) / size).reshape(len(old), -1)
         rows.append(found)
     if not all(np.isfinite(found).all() for found in rows):
         return None
-    return replace(known, rows=rows).at(residuals)
+    return replace(known, rows=rows).at(residuals, nx)
 
 
 def _without_states(factors: list[np.ndarray], nx: int, residuals: list[np.ndarray]) -> Reduced:

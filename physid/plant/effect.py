@@ -25,7 +25,8 @@ class Coefficient:
 
     ``unit`` is written with ``{f}``, ``{x}`` and ``{v}`` for the force, position and speed units of
     the place.  ``shape`` marks one that bends the law (a gap, a delay, a speed) rather than scales
-    it; ``fixed`` marks one that is chosen from a grid and not fitted (a whole number of periods).
+    it; ``fixed`` marks one that is chosen from a grid and not fitted (a whole number of periods);
+    ``instant`` marks a time of the record at which something happens.
     """
 
     name: str
@@ -35,6 +36,7 @@ class Coefficient:
     upper: float = np.inf
     shape: bool = False
     fixed: bool = False
+    instant: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,0 +1,117 @@
+"""Where a model is held to its candidates, and the shortlists that come of it.
+
+A ground is a fit on windows of one length.  What several grounds propose is joined; an effect that
+would leave as much as another on every one of them may be the same by another name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import zip_longest
+
+import numpy as np
+
+from physid.criticism.refit import Start, alike
+from physid.errors import NumericsError
+from physid.identification.estimate import Estimate
+from physid.identification.preselection import preselected
+from physid.identification.problem import Problem
+from physid.identification.screening import Scored, screen, shortlist
+from physid.identification.staged import compiled, states_only
+from physid.identification.study import Study
+from physid.plant.effect import Effect, Scales
+from physid.plant.structure import Place
+
+MOST_STARTS = 6
+"""Starts of one candidate, over all screenings."""
+RUNAWAY = 8.0
+"""Times its own value beyond which a parameter was driven there by what the model lacks."""
+TWIN = 0.05
+"""Share of what an effect would leave within which another leaves as much: it may be the same."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Group:
+    """An effect at a place with its starts; what it would leave on every ground (grounds,)."""
+
+    scored: list[Scored]
+    left: np.ndarray
+
+    @property
+    def effect(self) -> Effect:
+        """The effect."""
+        return self.scored[0].effect
+
+    @property
+    def place(self) -> Place:
+        """Where it sits."""
+        return self.scored[0].place
+
+    @property
+    def scales(self) -> Scales:
+        """How large things are there."""
+        return self.scored[0].scales
+
+    @property
+    def starts(self) -> list[Start]:
+        """Where its refits start."""
+        return [Start(s.start, s.theta) for s in self.scored]
+
+    def is_twin(self, other: Group) -> bool:
+        """Say whether it would leave as much as another, wherever both were screened."""
+        return not np.any(np.abs(self.left - other.left) > TWIN * other.left)
+
+
+def undistorted(study: Study, problem: Problem) -> Estimate:
+    """Return the study's start as a ground for screening.
+
+    Under a large missing effect the best fit is a distorted one, at which nothing looks like itself;
+    the start, from the force balance or short windows, is nearer the truth.  Where even that has run
+    away along a valley, the model's own values are.
+    """
+    nominal = problem.start()
+    size = np.array([max(abs(p.value), p.scale) for p in problem.parameters])
+    theta = nominal if np.any(np.abs(study.theta) > RUNAWAY * size) else study.theta
+    found = states_only(replace(problem, model=problem.at(theta)))
+    return replace(found, theta=theta)
+
+
+def grounds_of(
+    problems: Mapping[str, Problem], fits: Mapping[str, Estimate]
+) -> list[tuple[Problem, Estimate]]:
+    """Return where a model is held to its candidates: every horizon, or the long one in MuJoCo."""
+    return [(problems[h], fits[h]) for h in fits if h == "long" or compiled(problems[h])]
+
+
+def screened(
+    grounds: Sequence[tuple[Problem, Estimate]],
+    candidates: Sequence[tuple[Effect, Place]],
+    most: int,
+    per_effect: int,
+) -> list[Group]:
+    """Screen on several grounds and join the shortlists, alternating.
+
+    What one ground proposes starts in the shapes that all of them see.  A ground near which the
+    simulation diverges is none.  Where MuJoCo simulates, the force balance chooses first.
+    """
+    if not compiled(grounds[0][0]):
+        candidates = preselected(*grounds[0], candidates)
+    screens = []
+    for problem, fit in grounds:
+        with suppress(NumericsError):
+            screens.append(screen(problem, fit, candidates, per_effect))
+    chosen = dict.fromkeys(
+        site for row in zip_longest(*(shortlist(s, most) for s in screens)) for site in row if site
+    )
+    groups = []
+    for site in chosen:
+        known: list[Scored] = []
+        left = []
+        for scored in screens:
+            own = [s for s in scored if (s.effect.name, s.place) == site]
+            left.append(own[0].left if own else np.nan)
+            known += [s for s in own if not any(alike(s.start, k.start) for k in known)]
+        groups.append(Group(scored=known[:MOST_STARTS], left=np.array(left)))
+    return groups
