@@ -27,8 +27,9 @@ Forces act on the joint or along the tendon; x is its position from the spring's
 angle, v the speed, u the actuator's input, y what a sensor measures. `physid effects` prints this
 list in the terminal.
 
-`physid diagnose` and `physid refine` try the effects marked in the column *searched*, wherever they
-can sit in the model; the others are there for who suspects them.
+`physid diagnose` and `physid refine` try all of them, wherever they can sit in the model. Some are the
+same by another name in some records (an input's offset is a constant load on what a motor drives, a
+late sensor on a rig with one a late input); the answer then names all that fit alike.
 
 An effect with a memory (a hysteresis, a mass on a spring, a lagging reading) has states of its own.
 They are estimated beside the initial positions and speeds. Where a sensor is late, the initial state
@@ -57,14 +58,13 @@ def page() -> str:
 
 
 def _overview(effects: list[dict[str, Any]]) -> str:
-    rows = ["| effect | at | law | in MuJoCo | searched |", "|---|---|---|---|---|"]
+    rows = ["| effect | at | law | in MuJoCo |", "|---|---|---|---|"]
     for effect in effects:
         cells = (
             f"[`{effect['name']}`](#{effect['name']})",
             ", ".join(effect["places"]),
             f"`{effect['law']}`".replace("|", "\\|"),
             REPRESENTATIONS[effect["representation"]],
-            "yes" if effect["searched"] else "no",
         )
         rows.append(f"| {' | '.join(cells)} |")
     return "\n".join(rows) + "\n"

@@ -88,7 +88,9 @@ def search(
     report(f"screening {len(candidates)} candidates", 0.0)
     long = base.problems["long"]
     grounds = grounds_of(base.problems, base.fits)
-    if base.fits["long"].squares > NOISE_LIKE * long.measurements():
+    worst = base.fits["long"].squares
+    unexplained = worst > NOISE_LIKE * long.measurements()
+    if unexplained:
         with suppress(NumericsError):
             grounds.insert(0, (long, undistorted(study, long)))
     if not compiled(long):
@@ -96,13 +98,11 @@ def search(
     groups = screened(grounds, candidates, REFITS, TRIALS)
     scales = {g.place: g.scales for g in groups}
     rival = RIVAL if compiled(long) else RIVAL_ON_ENGINE
-    worst = base.fits["long"].squares
     limit = min(max(rival * long.measurements(), NEARLY * worst), 0.5 * worst)
     kept = windowed(study.problem, HORIZONS["long"], judging_spans)
     fits: list[Refit] = []
     later: list[int] = []
-    # Effects without a shape cost least, and may make it needless to follow the others.
-    order = sorted(range(len(groups)), key=lambda k: _shaped(groups[k].effect))
+    order = _cheapest_first(groups)
     for done, k in enumerate(order):
         group = groups[k]
         report(f"refitting {group.effect.name}", 0.15 + 0.5 * done / len(groups))
@@ -110,8 +110,9 @@ def search(
         if any(_contains(group, f) for f in explaining):
             later.append(k)
             continue
-        # What looks like one of them in every way is followed however its first step ends.
-        twin = any(group.is_twin(groups[f.rank]) for f in explaining)
+        # What looks like one of them in every way is followed however its first step ends, unless
+        # there is nothing to explain and all look alike.
+        twin = unexplained and any(group.is_twin(groups[f.rank]) for f in explaining)
         near = limit if explaining and not twin else np.inf
         fits += _refitted(base, long, kept, group, k, near)
     fits = _best_with_blocks(base, _with_siblings(base, fits, scales), scales)
@@ -144,8 +145,26 @@ def _refitted(
     return [] if found is None else [between_stretches(found, kept)]
 
 
-def _shaped(effect: Effect) -> bool:
-    return any(c.shape or c.fixed for c in effect.coefficients)
+def _cheapest_first(groups: Sequence[Group]) -> list[int]:
+    """Return the order of refits: what may make it needless to follow the others comes first.
+
+    That is what would leave least on some ground, unless it contains another effect at its place; then
+    effects without a shape, which cost least.
+    """
+    if not groups:
+        return []
+    left = np.array([np.nan_to_num(g.left, nan=np.inf) for g in groups])
+    leading = np.any(left == left.min(axis=0), axis=1)
+
+    def turn(k: int) -> int:
+        own = groups[k]
+        simpler = any(
+            o.place == own.place and o.effect.name in own.effect.supersedes for o in groups
+        )
+        shaped = any(c.shape or c.fixed for c in own.effect.coefficients)
+        return 0 if leading[k] and not simpler else 1 + shaped
+
+    return sorted(range(len(groups)), key=turn)
 
 
 def _contains(group: Group, fit: Refit) -> bool:

@@ -8,6 +8,7 @@ import pytest
 
 from physid.criticism import merit, search
 from physid.criticism import refit as refitting
+from physid.criticism.grounds import Group
 from physid.criticism.refit import Start, _seen_from, alike, refit, with_block, without_partner
 from physid.effects.catalogue import CATALOGUE
 from physid.identification.screening import scales_of, screen
@@ -62,8 +63,28 @@ def test_an_effect_that_contains_an_explaining_one_waits_for_its_fit(rubbing):
     assert search._contains(stribeck, found)
     assert not search._contains(elsewhere, found)
     assert not search._contains(drag, found)
-    assert search._shaped(EFFECTS["stribeck_friction"])
-    assert not search._shaped(EFFECTS["coulomb_friction"])
+
+
+def group_of(effect, *left, place=HINGE):
+    scored = SimpleNamespace(effect=EFFECTS[effect], place=place, scales=None)
+    return Group(scored=[scored], left=np.array(left))
+
+
+def test_what_would_leave_least_is_refitted_first_unless_it_contains_another():
+    groups = [
+        group_of("backlash", 5.0, 6.0),
+        group_of("coulomb_friction", 3.0, 4.0),
+        group_of("stribeck_friction", 2.0, 9.0),
+        group_of("hysteresis", np.nan, 1.0),
+    ]
+    assert search._cheapest_first(groups) == [3, 1, 0, 2]
+    assert search._cheapest_first([]) == []
+
+
+def test_effects_that_leave_as_much_everywhere_are_twins():
+    load = group_of("constant_load", 100.0, 7.0, np.nan)
+    assert group_of("gravity_imbalance", 103.0, 7.1, 5.0).is_twin(load)
+    assert not group_of("gravity_imbalance", 103.0, 9.0, 5.0).is_twin(load)
 
 
 def test_effects_of_a_pair_are_fitted_alone_from_where_it_ended(rubbing):

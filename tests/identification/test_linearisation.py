@@ -5,12 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from physid.effects.catalogue import effect_named
 from physid.identification import linearisation, uncertainty
 from physid.identification import problem as problems
 from physid.identification.linearisation import columns_of, extended, linearise, reduce
 from physid.identification.output_error import minimise
 from physid.identification.problem import residuals_of
 from physid.identification.staged import windowed
+from physid.plant.effect import Placed
 
 from .rigs import spring_problem
 
@@ -97,6 +99,24 @@ def test_columns_of_a_like_problem_serve_where_it_has_them(problem):
         right.columns.T @ right.columns, rel=0.2
     )
     assert extended(replace(known, rows=[]), names, problem, *at) is None
+
+
+def test_a_memory_that_the_known_problem_lacks_gets_columns_of_its_own(problem):
+    theta, states, residuals = point_of(problem)
+    known, names = reduce(problem, theta, states, residuals), [p.name for p in problem.parameters]
+    place = problem.model.structure.of_kind("joint")[0]
+    weak = {"force": 1e-3, "displacement": 0.1, "exponent": 2.0}
+    model = problem.model.with_effect(Placed(effect_named("hysteresis"), place, weak))
+    own = [model.parameter(n) for n in model.effect_parameters() if n.endswith("force")]
+    wider = replace(problem, model=model, parameters=(*problem.parameters, *own))
+    at = np.append(theta, weak["force"])
+    start = wider.completed(at, states)
+    there = at, start, residuals_of(wider, [at], [start])[0]
+    found, right = extended(known, names, wider, *there), reduce(wider, *there)
+    assert found.solvers[0].shape == right.solvers[0].shape
+    assert found.columns.T @ found.columns == pytest.approx(
+        right.columns.T @ right.columns, rel=0.05, abs=1e-3 * np.max(right.columns**2)
+    )
 
 
 def test_a_rough_start_ends_in_the_same_minimum(problem):

@@ -11,7 +11,12 @@ from tests.truth.bank import draw, floor, make, write
 
 @pytest.mark.parametrize(
     ("effect", "place"),
-    [("coulomb_friction", "hinge"), ("input_delay", "motor")],
+    [
+        ("coulomb_friction", "hinge"),
+        ("input_delay", "motor"),
+        ("input_offset", "motor"),
+        ("stiffness_change", "hinge"),
+    ],
 )
 def test_hidden_effect_is_named(effect, place, tmp_path):
     case = draw("pendulum_servo", effect, place, 0.003, seed=7, seconds=(8.0, 8.0))
