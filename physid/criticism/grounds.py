@@ -1,7 +1,7 @@
 """Where a model is held to its candidates, and the shortlists that come of it.
 
 A ground is a fit on windows of one length.  What several grounds propose is joined; an effect that
-would leave as much as another on every one of them may be the same by another name.
+would gain as much as another on most of them may be the same by another name.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ MOST_STARTS = 6
 """Starts of one candidate, over all screenings."""
 RUNAWAY = 8.0
 """Times its own value beyond which a parameter was driven there by what the model lacks."""
-TWIN = 0.05
-"""Share of what an effect would leave within which another leaves as much: it may be the same."""
+TWIN = 0.95
+"""Share of an effect's gain that another must have, on half the grounds, to be perhaps the same."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Group:
-    """An effect at a place with its starts; what it would leave on every ground (grounds,)."""
+    """An effect at a place with its starts; its best gain on every ground (grounds,)."""
 
     scored: list[Scored]
-    left: np.ndarray
+    gains: np.ndarray
 
     @property
     def effect(self) -> Effect:
@@ -60,8 +60,9 @@ class Group:
         return [Start(s.start, s.theta) for s in self.scored]
 
     def is_twin(self, other: Group) -> bool:
-        """Say whether it would leave as much as another, wherever both were screened."""
-        return not np.any(np.abs(self.left - other.left) > TWIN * other.left)
+        """Say whether it would gain as much as another on half the grounds or more."""
+        alike = self.gains >= TWIN * other.gains
+        return bool(np.mean(alike) >= 0.5)
 
 
 def undistorted(study: Study, problem: Problem) -> Estimate:
@@ -108,10 +109,10 @@ def screened(
     groups = []
     for site in chosen:
         known: list[Scored] = []
-        left = []
+        gains = []
         for scored in screens:
             own = [s for s in scored if (s.effect.name, s.place) == site]
-            left.append(own[0].left if own else np.nan)
+            gains.append(own[0].gain if own else 0.0)
             known += [s for s in own if not any(alike(s.start, k.start) for k in known)]
-        groups.append(Group(scored=known[:MOST_STARTS], left=np.array(left)))
+        groups.append(Group(scored=known[:MOST_STARTS], gains=np.array(gains)))
     return groups

@@ -29,6 +29,7 @@ from physid.errors import NumericsError
 from physid.identification.linearisation import reduce
 from physid.identification.problem import Problem
 from physid.identification.screening import possible_candidates
+from physid.identification.sizes import scales_of
 from physid.identification.staged import (
     ENOUGH,
     Spans,
@@ -96,7 +97,8 @@ def search(
     if not compiled(long):
         del grounds[1:]
     groups = screened(grounds, candidates, REFITS, TRIALS)
-    scales = {g.place: g.scales for g in groups}
+    # Where a partner may sit, its size is known as well.
+    scales = scales_of(long, base.fits["long"]) | {g.place: g.scales for g in groups}
     rival = RIVAL if compiled(long) else RIVAL_ON_ENGINE
     limit = min(max(rival * long.measurements(), NEARLY * worst), 0.5 * worst)
     kept = windowed(study.problem, HORIZONS["long"], judging_spans)
@@ -110,7 +112,7 @@ def search(
         if any(_contains(group, f) for f in explaining):
             later.append(k)
             continue
-        # What looks like one of them in every way is followed however its first step ends, unless
+        # What looks like one of them is followed however its first step ends, unless
         # there is nothing to explain and all look alike.
         twin = unexplained and any(group.is_twin(groups[f.rank]) for f in explaining)
         near = limit if explaining and not twin else np.inf
@@ -148,13 +150,13 @@ def _refitted(
 def _cheapest_first(groups: Sequence[Group]) -> list[int]:
     """Return the order of refits: what may make it needless to follow the others comes first.
 
-    That is what would leave least on some ground, unless it contains another effect at its place; then
+    That is what would gain most on some ground, unless it contains another effect at its place; then
     effects without a shape, which cost least.
     """
     if not groups:
         return []
-    left = np.array([np.nan_to_num(g.left, nan=np.inf) for g in groups])
-    leading = np.any(left == left.min(axis=0), axis=1)
+    gains = np.array([g.gains for g in groups])
+    leading = np.any(gains == gains.max(axis=0), axis=1)
 
     def turn(k: int) -> int:
         own = groups[k]

@@ -39,16 +39,14 @@ MOST_SAMPLES = 12000
 class Scored:
     """A candidate with its score.
 
-    ``gain`` is the fall of chi2 that the linearised effect would bring, ``left`` what it would leave;
-    ``start`` and ``theta`` (p,) where its refit starts: the effect, and the model's own parameters moved
-    to make room for it.
+    ``gain`` is the fall of chi2 that the linearised effect would bring; ``start`` and ``theta`` (p,) where
+    its refit starts: the effect, and the model's own parameters moved to make room for it.
     """
 
     effect: Effect
     place: Place
     trial: Trial
     gain: float
-    left: float
     start: Placed
     theta: np.ndarray
     scales: Scales
@@ -256,7 +254,6 @@ def _started(
         place=place,
         trial=trial,
         gain=gain,
-        left=float(ground.remaining @ ground.remaining) - gain,
         start=Placed(effect, place, effect.start(trial, amplitudes, scales)),
         theta=_making_room(ground, response),
         scales=scales,

@@ -65,26 +65,26 @@ def test_an_effect_that_contains_an_explaining_one_waits_for_its_fit(rubbing):
     assert not search._contains(drag, found)
 
 
-def group_of(effect, *left, place=HINGE):
+def group_of(effect, *gains, place=HINGE):
     scored = SimpleNamespace(effect=EFFECTS[effect], place=place, scales=None)
-    return Group(scored=[scored], left=np.array(left))
+    return Group(scored=[scored], gains=np.array(gains))
 
 
-def test_what_would_leave_least_is_refitted_first_unless_it_contains_another():
+def test_what_would_gain_most_is_refitted_first_unless_it_contains_another():
     groups = [
         group_of("backlash", 5.0, 6.0),
-        group_of("coulomb_friction", 3.0, 4.0),
-        group_of("stribeck_friction", 2.0, 9.0),
-        group_of("hysteresis", np.nan, 1.0),
+        group_of("coulomb_friction", 8.0, 7.0),
+        group_of("stribeck_friction", 9.0, 5.0),
+        group_of("hysteresis", 0.0, 9.0),
     ]
     assert search._cheapest_first(groups) == [3, 1, 0, 2]
     assert search._cheapest_first([]) == []
 
 
-def test_effects_that_leave_as_much_everywhere_are_twins():
-    load = group_of("constant_load", 100.0, 7.0, np.nan)
-    assert group_of("gravity_imbalance", 103.0, 7.1, 5.0).is_twin(load)
-    assert not group_of("gravity_imbalance", 103.0, 9.0, 5.0).is_twin(load)
+def test_effects_that_gain_as_much_on_half_the_grounds_are_twins():
+    load = group_of("constant_load", 100.0, 7.0, 40.0)
+    assert group_of("gravity_imbalance", 97.0, 7.1, 5.0).is_twin(load)
+    assert not group_of("gravity_imbalance", 97.0, 6.0, 5.0).is_twin(load)
 
 
 def test_effects_of_a_pair_are_fitted_alone_from_where_it_ended(rubbing):
