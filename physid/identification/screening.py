@@ -17,6 +17,7 @@ from physid.effects.catalogue import CATALOGUE, places_of
 from physid.errors import ModelError
 from physid.identification.estimate import Estimate
 from physid.identification.linearisation import Linearisation, linearise
+from physid.identification.nearby import Nearby, nearby
 from physid.identification.problem import Problem, residuals_of
 from physid.identification.sizes import scales_of
 from physid.plant.effect import Effect, Placed, Scales, Trial
@@ -95,11 +96,13 @@ class Ground:
     basis: np.ndarray
     remaining: np.ndarray
     scales: dict[Place, Scales]
+    near: Nearby | None = None
 
 
 def ground_of(problem: Problem, estimate: Estimate) -> Ground:
     """Linearise a fitted problem for screening."""
-    point = linearise(problem, estimate.theta, estimate.states, estimate.residuals)
+    near = nearby(problem, estimate.theta, estimate.states)
+    point = linearise(problem, estimate.theta, estimate.states, estimate.residuals, near=near)
     basis = orthonormal(point.projected)
     remaining = point.remaining - basis @ (basis.T @ point.remaining)
     return Ground(
@@ -109,6 +112,7 @@ def ground_of(problem: Problem, estimate: Estimate) -> Ground:
         basis=basis,
         remaining=remaining,
         scales=scales_of(problem, estimate),
+        near=near,
     )
 
 
@@ -230,6 +234,14 @@ def _responses(
     changed = with_shape(ground.problem, ground.estimate.theta, effect, place, columns[0])
     thetas = [values_of(changed, column) for column in columns]
     try:
+        if ground.near is not None:
+            plants = [changed.plant(theta, ground.near.step) for theta in thetas]
+            if ground.near.serves(plants):
+                told = ground.near.by_plants(plants, np.ones(len(plants)))
+                return [
+                    ground.point.without_states([found[..., k] for found in told])
+                    for k in range(len(plants))
+                ]
         runs = residuals_of(changed, thetas, [ground.estimate.states] * len(thetas))
     except ModelError:
         return [np.full(ground.remaining.shape, np.nan)] * len(thetas)
