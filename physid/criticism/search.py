@@ -27,6 +27,7 @@ from physid.effects.catalogue import CATALOGUE
 from physid.errors import NumericsError
 from physid.identification.estimate import Estimate
 from physid.identification.linearisation import reduce
+from physid.identification.nearby import nearby
 from physid.identification.preselection import preselected
 from physid.identification.problem import Problem
 from physid.identification.screening import Scored, possible_candidates, screen, shortlist
@@ -207,10 +208,12 @@ def _screened(
     """Screen on several grounds and join the shortlists, alternating.
 
     What one ground proposes starts in the shapes that all of them see.  A ground near which the
-    simulation diverges is none.  Where MuJoCo simulates, the force balance chooses first.
+    simulation diverges is none.  Where every candidate would take runs of MuJoCo of its own, the force
+    balance chooses first.
     """
-    if not compiled(grounds[0][0]):
-        candidates = preselected(*grounds[0], candidates)
+    problem, fit = grounds[0]
+    if not compiled(problem) and nearby(problem, fit.theta, fit.states) is None:
+        candidates = preselected(problem, fit, candidates)
     screens = []
     for problem, fit in grounds:
         with suppress(NumericsError):
