@@ -10,6 +10,7 @@ from xml.sax.saxutils import escape
 
 import mujoco
 
+from physid.effects.native import element_name
 from physid.effects.own import OwnEffect
 from physid.errors import ModelError
 from physid.plant.memory import NO_INPUT
@@ -57,7 +58,7 @@ class SnippetEffect(OwnEffect):
         )
 
     def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
-        prefix = f"{self.name}_at_{place.name.replace(',', '_')}"
+        prefix = element_name(self.name, place)
         while any(
             e.name.startswith(f"{prefix}/") for e in (*spec.bodies, *spec.tendons, *spec.sites)
         ):
