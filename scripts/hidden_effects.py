@@ -17,9 +17,11 @@ is not run again. With ``--out`` come a page and the table as Markdown.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import multiprocessing
 import os
+import signal
 import sys
 import tempfile
 import time
@@ -114,11 +116,28 @@ def single(seed: int, number: int, folder: Path, *, rigs: Sequence[str] = ()) ->
     return line
 
 
-def run_one(task: Task, seed: int, number: int) -> Line:
+@contextlib.contextmanager
+def at_most(seconds: float) -> Iterator[None]:
+    """Raise TimeoutError after so much processor time [s]."""
+
+    def stop(number: int, frame: object) -> None:
+        raise TimeoutError(f"it took more than {seconds:g} s of processor time")
+
+    former = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, former)
+
+
+def run_one(task: Task, most: float, seed: int, number: int) -> Line:
     """Run one case in a folder of its own; a failure is a line too."""
     with tempfile.TemporaryDirectory() as folder:
         try:
-            return task(seed, number, Path(folder))
+            with at_most(most):
+                return task(seed, number, Path(folder))
         except Exception as error:  # noqa: BLE001 - one case must not end the benchmark
             reason = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
             try:
@@ -129,14 +148,14 @@ def run_one(task: Task, seed: int, number: int) -> Line:
             return line | {"error": reason, "reason": reason, "first": False}
 
 
-def run_all(task: Task, seed: int, todo: Sequence[int], jobs: int) -> Iterator[Line]:
+def run_all(task: Task, most: float, seed: int, todo: Sequence[int], jobs: int) -> Iterator[Line]:
     """Run cases one after another, or each in a process of a pool."""
     if jobs == 1:
-        yield from (run_one(task, seed, number) for number in todo)
+        yield from (run_one(task, most, seed, number) for number in todo)
         return
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(jobs, mp_context=context) as pool:
-        for future in as_completed([pool.submit(run_one, task, seed, k) for k in todo]):
+        for future in as_completed([pool.submit(run_one, task, most, seed, k) for k in todo]):
             yield future.result()
 
 
@@ -154,22 +173,28 @@ def finished(out: Path | None, kind: str) -> dict[int, Line]:
     return done
 
 
+def retried(error: str | None) -> bool:
+    """Say whether a case that ended so is run again: not where it took too long."""
+    return error is not None and not error.startswith("TimeoutError")
+
+
 def collect(
     task: Task,
     kind: str,
     seed: int,
     wanted: Sequence[int],
     jobs: int,
+    most: float,
     out: Path | None,
     said: Console,
 ) -> list[Line]:
     """Run what is not there yet of the wanted cases; return all lines that are there."""
     done = finished(out, kind)
-    todo = [k for k in wanted if k not in done or done[k]["error"]]
+    todo = [k for k in wanted if k not in done or retried(done[k]["error"])]
     path = out / f"{kind}-{min(todo)}-{max(todo)}.jsonl" if out is not None and todo else None
     if path is not None and path.exists() and not path.read_bytes().endswith(b"\n"):
         path.write_bytes(path.read_bytes() + b"\n")  # a line was cut off
-    for line in run_all(task, seed, todo, jobs):
+    for line in run_all(task, most, seed, todo, jobs):
         done[line["number"]] = line
         if path is not None:
             with path.open("a", encoding="utf-8") as file:
@@ -273,6 +298,9 @@ def main(
     cases: Annotated[str, typer.Option("--cases", metavar="A:B", help="Only these.")] = "0:",
     small: Annotated[bool, typer.Option(help="Three cases on the smallest rig.")] = False,
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+    most: Annotated[
+        float, typer.Option(help="Processor time of a case [s]; beyond is a miss.")
+    ] = 600.0,
     repeat: Annotated[int, typer.Option(min=0, help="Study the first so many twice.")] = 0,
     calibrate: Annotated[int, typer.Option(min=0, help="So many single tests instead.")] = 0,
     out: Annotated[Path | None, typer.Option(help="Keep a line per case; go on there.")] = None,
@@ -282,8 +310,8 @@ def main(
     shown, said = Console(quiet=as_json), Console(stderr=True)
     seed, rigs = settled_seed(seed, out), SMALL_RIGS if small else ()
     wanted = [] if calibrate else list(SMALL) if small else list(numbers(cases))
-    lines = collect(Studied(rigs, repeat), "cases", seed, wanted, jobs, out, said)
-    tests = collect(single, "single", seed, range(calibrate), jobs, out, said)
+    lines = collect(Studied(rigs, repeat), "cases", seed, wanted, jobs, most, out, said)
+    tests = collect(single, "single", seed, range(calibrate), jobs, most, out, said)
     p_values = [line["p"] for line in tests if not line["error"]]
     figures = marks.figures(lines, p_values)
     tables = [confusion_table(lines), rates_table(lines), misses_table(lines)]

@@ -231,6 +231,19 @@ class StandIn:
         return SimpleNamespace(as_dict=lambda: result)
 
 
+def test_a_case_that_takes_too_long_is_a_miss_that_is_not_tried_again(script):
+    def endless(seed, number, folder):
+        while True:
+            pass
+
+    line = script.run_one(endless, 0.1, 5, 0)
+    assert line["error"] == "TimeoutError: it took more than 0.1 s of processor time"
+    assert not line["first"]
+    assert not script.retried(line["error"])
+    assert script.retried("RuntimeError: no convergence")
+    assert not script.retried(None)
+
+
 def test_the_script_shares_goes_on_and_writes_its_page(script, tmp_path, monkeypatch):
     asked = []
 
