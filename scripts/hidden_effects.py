@@ -233,6 +233,13 @@ def settled_seed(seed: int | None, out: Path | None) -> int:
     return chosen
 
 
+def searched() -> set[str]:
+    """Names of the effects that a diagnosis tries by itself."""
+    from physid.effects.catalogue import CATALOGUE
+
+    return {effect.name for effect in CATALOGUE if effect.searched}
+
+
 def confusion_table(lines: Sequence[Line]) -> Table:
     """Hidden effect against the answer, single effects."""
     table = Table("hidden", "answers", title="Hidden effect and answers")
@@ -242,13 +249,15 @@ def confusion_table(lines: Sequence[Line]) -> Table:
 
 
 def rates_table(lines: Sequence[Line]) -> Table:
-    """Rates with Wilson's intervals, then the first answer per noise."""
+    """Rates with Wilson's intervals, then the first answer per noise and of what is searched."""
     table = Table("rate", "of", "%", "95 % interval", title="Rates")
     rows = marks.rates(lines)
     one = [line for line in lines if line["kind"] == "one"]
     for noise in sorted({line["noise"] for line in one}):
         level = [line for line in one if line["noise"] == noise]
         rows.append((f"first at noise {noise:g}", sum(x["first"] for x in level), len(level)))
+    tried = [line for line in one if line["truth"][0].split("@")[0] in searched()]
+    rows.append(("first, of effects searched", sum(x["first"] for x in tried), len(tried)))
     for name, hits, trials in rows:
         low, high = wilson(hits, trials)
         share = f"{100 * hits / trials:.0f}" if trials else "-"

@@ -73,6 +73,8 @@ def places(machine: Machine, effect: str) -> list[str]:
         "saturation": [a for a in machine.actuators if a not in machine.servos],
         **dict.fromkeys(READINGS, tuple(machine.sensors)),
         **dict.fromkeys(ODD_LAWS, sites),
+        # On a hinge a constant load with a gravity imbalance is the same to third order.
+        "square_stiffness": [j for j in sites if j not in machine.hinges],
         "pulsating_stiffness": [e for e in springs if e in seen],
     }
     return list(listed[effect])
