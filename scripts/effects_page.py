@@ -28,7 +28,8 @@ angle, v the speed, u the actuator's input, y what a sensor measures. `physid ef
 list in the terminal.
 
 `physid diagnose` and `physid refine` try the effects marked in the column *searched*, wherever they
-can sit in the model; the others are there for who suspects them.
+can sit in the model; the others are there for who suspects them. What is not in this list you can
+write yourself: [your own effects](own_effects.md).
 
 An effect with a memory (a hysteresis, a mass on a spring, a lagging reading) has states of its own.
 They are estimated beside the initial positions and speeds. Where a sensor is late, the initial state

@@ -18,7 +18,7 @@ def compare(study: Study, output: Output) -> int:
     """Tell how well the model explains the records, and where it fails."""
     options = study.keywords(default_fit=None)
     with working(output) as run:
-        result = physid.compare(study.model, study.records, **options, **run)
+        result = physid.compare(study.source(), study.records, **options, **run)
     deliver(result, output)
     return OK
 
@@ -28,7 +28,7 @@ def diagnose(study: Study, output: Output) -> int:
     """Name the physical effect that the model lacks, and where, with evidence."""
     options = study.keywords(default_fit="auto")
     with working(output) as run:
-        result = physid.diagnose(study.model, study.records, **options, **run)
+        result = physid.diagnose(study.source(), study.records, **options, **run)
     deliver(result, output)
     return OK
 
@@ -45,7 +45,9 @@ def refine(
     """Diagnose, add, refit, until nothing is missing; --out gets refined.xml."""
     options = study.keywords(default_fit="auto")
     with working(output) as run:
-        result = physid.refine(study.model, study.records, test=tuple(test or ()), **options, **run)
+        result = physid.refine(
+            study.source(), study.records, test=tuple(test or ()), **options, **run
+        )
     deliver(result, output, extra={"refined.xml": result.xml})
     if output.out is None and not output.as_json:
         say("To keep refined.xml and the page, name a folder with --out DIR.")

@@ -23,7 +23,7 @@ from physid.criticism.refit import (
     with_block,
     without_partner,
 )
-from physid.effects.catalogue import CATALOGUE
+from physid.effects.catalogue import effects_of
 from physid.errors import NumericsError
 from physid.identification.estimate import Estimate
 from physid.identification.linearisation import reduce
@@ -238,7 +238,7 @@ def _with_siblings(base: Base, fits: list[Refit], scales: dict[Place, Scales]) -
     best = min(fits, key=lambda f: score(base, f, ("short", "long")))
     inner = best.fitted[0]
     out = list(fits)
-    for effect in CATALOGUE:
+    for effect in effects_of(best.problem.model):
         values = effect.contains(inner) if inner.place.kind in effect.kinds else None
         if values is None:
             continue

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from physid.effects.catalogue import CATALOGUE, places_of
+from physid.effects.catalogue import effects_of, places_of
 from physid.errors import ModelError
 from physid.identification.estimate import Estimate
 from physid.identification.linearisation import Linearisation, linearise
@@ -59,7 +59,7 @@ def possible_candidates(problem: Problem) -> list[tuple[Effect, Place]]:
     structure = model.structure
     freed = {p.name for p in problem.parameters}
     found = []
-    for effect in (e for e in CATALOGUE if e.searched):
+    for effect in (e for e in effects_of(model) if e.searched):
         for place in places_of(effect, model.nominal, structure):
             own = f"{structure.label(place)}.{effect.contained_in}"
             present = any(p.effect.name == effect.name and p.place == place for p in model.effects)
