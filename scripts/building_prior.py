@@ -246,8 +246,9 @@ def other_rigs(figures: Figures, runs: int, rng: np.random.Generator) -> None:
     shaft = load_model(rig_path("two_inertia")).with_values({"shaft.stiffness": 18.0})
     pulled = pull_out(shaft, ["shaft.stiffness"], ["drive_angle"])
     data = white_runs(
-        pulled, np.array([20.0]), runs=runs, samples=5000, dt=1e-3, ratio=RATIO, rng=rng
-    )
+        pulled, np.array([20.0]), runs=runs, samples=5000, dt=1e-3, ratio=RATIO, rng=rng,
+        paired=False,
+    )  # fmt: skip
     chosen(figures, "shaft", pulled, data, 1e-3, 20.0)
     driver = load_model(rig_path("seated_driver")).with_values({"spine.stiffness": 164700.0})
     pulled = pull_out(driver, ["spine.stiffness"], ["torso_position"])
