@@ -117,12 +117,13 @@ def spreads(figures: Figures, runs: int, rng: np.random.Generator) -> None:
     In one second the slowest mode turns twice: the bound differs 20-fold from input to input, and few
     inputs make most of a root mean square.  Of 100 inputs 38 count, so that even an estimate that reaches
     the bound exceeds it 1.3 times, for the worst of four storeys, in one of 50 draws; of 600 in none.
+    KU's spread, 0.644 % over 12 000 inputs, is taken of four times as many: of 600, one draw in 45 is above 0.7.
     """
     pulled, together = rig(STOREYS[2:3], BELIEVED), rig(STOREYS)
     made = factors(numerators(pulled, 0, 0), Shape(cutoff=13.2, order=3), DT)
     errors, variances = [], []
     alone, storeys = Fits(), Fits()
-    for _ in range(-(-runs // BATCH)):
+    for k in range(-(-4 * runs // BATCH)):
         data = white_runs(
             pulled, np.array([TRUE]), runs=BATCH, samples=SAMPLES, dt=DT, ratio=RATIO, rng=rng,
             paired=False,
@@ -130,6 +131,8 @@ def spreads(figures: Figures, runs: int, rng: np.random.Generator) -> None:
         one = estimate(made, data.y[:, :, 0], data.u)
         errors.append(percent(one.delta))
         variances.append((100 * one.std_error / TRUE) ** 2)
+        if k * BATCH >= runs:
+            continue
         helper = instrument(pulled, made, 0, data.u)
         begin = estimate(made, data.y[:, :, 0], data.u, instrument=helper).delta + BELIEVED
         output_error(alone, pulled, begin[:, None], data)
