@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -11,6 +11,20 @@ import physid
 from physid.cli.delivery import deliver, say, working
 from physid.cli.ending import OK
 from physid.cli.options import Output, Study, grouped
+
+EVIDENCE = typer.Option(
+    "--evidence",
+    metavar="RESULT",
+    help="result.json of physid monitor or physid fit --method lmi, or the folder it is in: the effects "
+    "it speaks for are tried too, from there. Repeatable.",
+)
+
+
+def read_evidence(paths: list[Path] | None) -> list[dict[str, Any]]:
+    """Read the results that ``--evidence`` names."""
+    from physid.report.storage import RESULT, load_result
+
+    return [load_result(p / RESULT if p.is_dir() else p) for p in paths or ()]
 
 
 @grouped
@@ -24,9 +38,13 @@ def compare(study: Study, output: Output) -> int:
 
 
 @grouped
-def diagnose(study: Study, output: Output) -> int:
+def diagnose(
+    study: Study,
+    output: Output,
+    evidence: Annotated[list[Path] | None, EVIDENCE] = None,
+) -> int:
     """Name the physical effect that the model lacks, and where, with evidence."""
-    options = study.keywords(default_fit="auto")
+    options = study.keywords(default_fit="auto") | {"evidence": read_evidence(evidence)}
     with working(output) as run:
         result = physid.diagnose(study.source(), study.records, **options, **run)
     deliver(result, output)
@@ -41,9 +59,10 @@ def refine(
         list[Path] | None,
         typer.Option("--test", metavar="RECORD", help="A record that decides nothing. Repeatable."),
     ] = None,
+    evidence: Annotated[list[Path] | None, EVIDENCE] = None,
 ) -> int:
     """Diagnose, add, refit, until nothing is missing; --out gets refined.xml."""
-    options = study.keywords(default_fit="auto")
+    options = study.keywords(default_fit="auto") | {"evidence": read_evidence(evidence)}
     with working(output) as run:
         result = physid.refine(
             study.source(), study.records, test=tuple(test or ()), **options, **run

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -26,7 +26,15 @@ from physid.criticism.comparison import (
     lack_of,
     parameters_of,
 )
-from physid.criticism.diagnosis import NAMED, NAMED_BESIDE, Candidate, Diagnosis, diagnose_study
+from physid.criticism.diagnosis import (
+    NAMED,
+    NAMED_BESIDE,
+    Candidate,
+    Diagnosis,
+    candidate_rows,
+    diagnose_study,
+)
+from physid.criticism.leads import read_leads
 from physid.criticism.localisation import where
 from physid.criticism.pictures import diagnosis_curves, tested_curves
 from physid.criticism.refit import start_of, with_candidate
@@ -50,7 +58,11 @@ MOST_ROUNDS = 4
 
 
 def diagnose(
-    model: Model | str | os.PathLike[str], records: Sequence[object], **options: Any
+    model: Model | str | os.PathLike[str],
+    records: Sequence[object],
+    *,
+    evidence: Sequence[Mapping[str, Any]] = (),
+    **options: Any,
 ) -> Result:
     """Name the physical effect a model lacks, and where, with evidence; or that none is missing.
 
@@ -58,6 +70,9 @@ def diagnose(
     ----------
     model, records, **options
         As for :func:`physid.fit`.
+    evidence : sequence of mapping
+        Results of :func:`physid.monitor` (``as_dict()``), or of a fit by LMI: the effects they speak for
+        are tried too, from the values found there.
 
     Returns
     -------
@@ -65,8 +80,10 @@ def diagnose(
         Schema ``physid.diagnosis/1``.
     """
     settings = Options(**options)
-    study = prepare(model, records, settings)
-    found = diagnose_study(study, span=(0.3, 0.85))
+    loaded = as_model(model)
+    leads = read_leads(loaded, evidence)
+    study = prepare(loaded, records, settings)
+    found = diagnose_study(study, span=(0.3, 0.85), leads=leads)
     settings.report("finding where the model fails", 0.85)
     base = _base_fit(study, found)
     best = _best_fit(study, found) if found.candidates else None
@@ -117,35 +134,6 @@ def diagnosis_data(study: Study, found: Diagnosis, base: Fitted, lack: Lack) -> 
     }
 
 
-def candidate_rows(study: Study, found: Diagnosis) -> list[dict[str, Any]]:
-    """Return the contract's ``candidates``, best first."""
-    structure = study.model.structure
-    names = [structure.channels[k].name for k in study.experiments[0].channels]
-    rows = []
-    for candidate in found.candidates:
-        fitted = candidate.refit.problem.model
-        rows.append(
-            {
-                "effects": [effect_row(fitted, p) for p in candidate.refit.fitted],
-                "p_value": finite(candidate.p_value),
-                "nrmse_before": dict(
-                    zip(names, map(finite, candidate.judgement.before), strict=True)
-                ),
-                "nrmse_after": dict(
-                    zip(names, map(finite, candidate.judgement.after), strict=True)
-                ),
-                "indistinguishable_from": [
-                    [{"effect": e, "location": p} for e, p in found.candidates[k].refit.sites()]
-                    for k in candidate.alike
-                ],
-                "gain": finite(-candidate.score),
-                "score_rank": candidate.refit.rank,
-                "explained": finite(candidate.explained),
-            }
-        )
-    return rows
-
-
 def with_effects(study: Study, candidate: Candidate) -> Study:
     """Return the study with a candidate's effects in its model, at the values fitted on long windows.
 
@@ -178,14 +166,15 @@ def refine(
     records: Sequence[object],
     *,
     test: Sequence[object] = (),
+    evidence: Sequence[Mapping[str, Any]] = (),
     **options: Any,
 ) -> Refinement:
     """Diagnose, add, refit, and again while something is missing.
 
     Parameters
     ----------
-    model, records, **options
-        As for :func:`physid.fit`.
+    model, records, evidence, **options
+        As for :func:`diagnose`.
     test : sequence of Record or path
         Records that decide nothing; on them every parameter is frozen and only the initial state is
         estimated.
@@ -197,6 +186,7 @@ def refine(
     """
     settings = Options(**options)
     loaded = as_model(model)
+    leads = read_leads(loaded, evidence)
     tests = experiments_of(loaded, test, settings) if test else []
     study = prepare(loaded, records, settings)
     settings.report("fitting the model as it stands", 0.25)
@@ -207,7 +197,7 @@ def refine(
         width = 0.6 / MOST_ROUNDS
         begin = 0.3 + round_number * width
         named = NAMED if first is None else NAMED_BESIDE
-        found = diagnose_study(study, span=(begin, begin + width), named=named)
+        found = diagnose_study(study, span=(begin, begin + width), named=named, leads=leads)
         first = first or found
         remaining = found.verdict
         if found.verdict != "effect_missing":

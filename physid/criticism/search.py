@@ -10,6 +10,7 @@ from itertools import zip_longest
 import numpy as np
 
 from physid.criticism.evidence import nrmse
+from physid.criticism.leads import Lead, led
 from physid.criticism.merit import LEAST_GAIN, NOISE_LIKE, explained, halves, noise_like, score
 from physid.criticism.refit import (
     HORIZONS,
@@ -73,6 +74,7 @@ def search(
     base: Base,
     candidates: Sequence[tuple[Effect, Place]],
     report: Callable[[str, float], None],
+    leads: Sequence[Lead] = (),
 ) -> list[Refit]:
     """Screen all candidates, refit the promising ones, and pair those that need a partner.
 
@@ -84,6 +86,8 @@ def search(
     candidates : sequence of (Effect, Place)
     report : callable
         Told a stage and the share of the search that is done.
+    leads : sequence of Lead
+        Refitted first, from where they stand.
 
     Returns
     -------
@@ -99,10 +103,10 @@ def search(
     if not compiled(long):
         del grounds[1:]
     groups = _screened(grounds, candidates, REFITS, TRIALS)
-    scales = {g[0].place: g[0].scales for g in groups}
+    fits, scales = led(base, leads)
+    scales |= {g[0].place: g[0].scales for g in groups}
     rival = RIVAL if compiled(long) else RIVAL_ON_ENGINE
     limit = min(rival * long.measurements(), 0.5 * base.fits["long"].squares)
-    fits: list[Refit] = []
     later: list[int] = []
     # Effects without a shape cost least, and may make it needless to follow the others.
     order = sorted(range(len(groups)), key=lambda k: _shaped(groups[k][0].effect))

@@ -164,11 +164,7 @@ def add_effects(model: Model, additions: Sequence[str]) -> tuple[Model, list[str
     free: list[str] = []
     for text in additions:
         placed, given = parse_addition(model.structure, text, model.own)
-        allowed = places_of(placed.effect, model.nominal, model.structure)
-        if placed.place not in allowed:
-            listed = available(model.structure.label(p) for p in allowed)
-            label = model.structure.label(placed.place)
-            raise ModelError(f"{placed.effect.name} cannot act at {label} in this model. {listed}")
+        check_place(model, placed)
         model = model.with_effect(placed)
         free += [
             f"{model.site(placed)}.{c.name}"
@@ -176,6 +172,21 @@ def add_effects(model: Model, additions: Sequence[str]) -> tuple[Model, list[str
             if c.name not in given and not c.fixed
         ]
     return model, free
+
+
+def check_place(model: Model, placed: Placed) -> None:
+    """Check that an effect makes sense where it is placed.
+
+    Raises
+    ------
+    ModelError
+        If it does not; the sentence lists where it does.
+    """
+    allowed = places_of(placed.effect, model.nominal, model.structure)
+    if placed.place not in allowed:
+        listed = available(model.structure.label(p) for p in allowed)
+        label = model.structure.label(placed.place)
+        raise ModelError(f"{placed.effect.name} cannot act at {label} in this model. {listed}")
 
 
 def parse_addition(
@@ -216,15 +227,29 @@ def _settings(effect: Effect, text: str) -> dict[str, float]:
             found[key] = float(value)
         except ValueError:
             raise InputError(f"{effect.name}: {key}={value!r} is not a number.") from None
-        if not math.isfinite(found[key]):
-            raise InputError(f"{effect.name}: {key}={value} is not a finite number.")
-        coefficient = next(c for c in effect.coefficients if c.name == key)
-        if not coefficient.lower <= found[key] <= coefficient.upper:
-            raise InputError(
-                f"{effect.name}: {key}={value} lies outside its bounds "
-                f"{coefficient.lower:g} to {coefficient.upper:g}."
-            )
+        check_value(effect, key, found[key])
     return found
+
+
+def check_value(effect: Effect, name: str, value: float) -> None:
+    """Check a value of an effect's parameter.
+
+    Raises
+    ------
+    InputError
+        If the effect has no such parameter, or the value is not finite or out of bounds.
+    """
+    coefficient = next((c for c in effect.coefficients if c.name == name), None)
+    if coefficient is None:
+        names = available(c.name for c in effect.coefficients)
+        raise InputError(f"{effect.name} has no parameter '{name}'. {names}")
+    if not math.isfinite(value):
+        raise InputError(f"{effect.name}: {name}={value} is not a finite number.")
+    if not coefficient.lower <= value <= coefficient.upper:
+        raise InputError(
+            f"{effect.name}: {name}={value:g} lies outside its bounds {coefficient.lower:g} to "
+            f"{coefficient.upper:g}."
+        )
 
 
 def load_model(path: str | os.PathLike[str], effects: Sequence[Effect] = ()) -> Model:
@@ -348,6 +373,8 @@ __all__ = [
     "KINDS",
     "RIG_LAWS",
     "add_effects",
+    "check_place",
+    "check_value",
     "describe",
     "effect_named",
     "effects_of",

@@ -56,21 +56,26 @@ class Scored:
 def possible_candidates(problem: Problem) -> list[tuple[Effect, Place]]:
     """List every searched effect at every place it can sit, but for those the model has free already."""
     model = problem.model
-    structure = model.structure
+    return [
+        (effect, place)
+        for effect in effects_of(model)
+        if effect.searched
+        for place in places_of(effect, model.nominal, model.structure)
+        if not is_in_model(effect, place, problem)
+    ]
+
+
+def is_in_model(effect: Effect, place: Place, problem: Problem) -> bool:
+    """Say whether the model has the effect at a place, or free parameters that contain it."""
+    model = problem.model
     freed = {p.name for p in problem.parameters}
-    found = []
-    for effect in (e for e in effects_of(model) if e.searched):
-        for place in places_of(effect, model.nominal, structure):
-            own = f"{structure.label(place)}.{effect.contained_in}"
-            present = any(p.effect.name == effect.name and p.place == place for p in model.effects)
-            contained = any(
-                effect.name in p.effect.supersedes and p.place == place for p in model.effects
-            )
-            if not (
-                own in freed or present or contained or _inertia_is_free(effect, place, problem)
-            ):
-                found.append((effect, place))
-    return found
+    own = f"{model.structure.label(place)}.{effect.contained_in}"
+    there = [p.effect for p in model.effects if p.place == place]
+    return (
+        own in freed
+        or any(effect.name == e.name or effect.name in e.supersedes for e in there)
+        or _inertia_is_free(effect, place, problem)
+    )
 
 
 def _inertia_is_free(effect: Effect, place: Place, problem: Problem) -> bool:
