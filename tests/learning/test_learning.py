@@ -129,6 +129,17 @@ def test_a_proposed_reference_keeps_the_limits():
     assert max(found.after.values()) < max(found.before.values())
 
 
+def test_a_reference_is_proposed_for_what_matters():
+    setup, truth = aircraft(("X_alpha", "Z_delta", "M_delta"))
+    aim = named(("Z_delta",))
+    found = propose(setup, truth, KNOWN, np.random.default_rng(0), aims=aim, candidates=40)
+    assert found.after[aim[0]] < found.before[aim[0]] / 2
+    for name in named(("X_alpha", "M_delta")):
+        assert found.after[name] < 2.2 * found.before[name]
+    with pytest.raises(InputError, match="'Z_q' is not being learned"):
+        propose(setup, truth, KNOWN, np.random.default_rng(0), aims=("Z_q",))
+
+
 def test_sentences():
     setup, truth = aircraft()
     fast = Setup(plant=setup.plant, reference=Reference(corner=150.0), samples=1000, dt=0.01)
