@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
+from physid.criticism.account import effect_row, finite
 from physid.criticism.evidence import Bench, Judgement, benches, judge
 from physid.criticism.merit import LEAST_GAIN, NOISE_LIKE, explained, score
 from physid.criticism.refit import (
@@ -30,6 +31,9 @@ NAMED_BESIDE = 0.3
 """... where the model was refined before and only details can be left."""
 TOLD_APART = 10.0
 """Difference of the information criterion below which two candidates are not told apart."""
+
+PROPER = ("coulomb", "stribeck")
+"""Words of effects that are the names of people."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -180,7 +184,18 @@ def _grows(base: Base) -> bool:
 
 def describe(fit: Refit) -> str:
     """Write a candidate as ``Coulomb friction at load``, pairs joined by ``and``."""
-    return " and ".join(f"{name.replace('_', ' ')} at {place}" for name, place in fit.sites())
+    return describe_sites(fit.sites())
+
+
+def describe_sites(sites: Sequence[tuple[str, str]]) -> str:
+    """Write effects with their places in words, joined by ``and``; empty for none."""
+    return " and ".join(f"{_in_words(name)} at {place}" for name, place in sites)
+
+
+def _in_words(name: str) -> str:
+    """Write an effect's name in words: ``Coulomb friction``."""
+    first, *rest = name.split("_")
+    return " ".join([first.capitalize() if first in PROPER else first, *rest])
 
 
 def _missing_sentence(study: Study, best: Candidate) -> str:
@@ -194,3 +209,32 @@ def _missing_sentence(study: Study, best: Candidate) -> str:
         f"{channels[worst]} falls from {100 * best.judgement.before[worst]:.2g} % to "
         f"{100 * best.judgement.after[worst]:.2g} %."
     )
+
+
+def candidate_rows(study: Study, found: Diagnosis) -> list[dict[str, Any]]:
+    """Return the contract's ``candidates``, best first."""
+    structure = study.model.structure
+    names = [structure.channels[k].name for k in study.experiments[0].channels]
+    rows = []
+    for candidate in found.candidates:
+        fitted = candidate.refit.problem.model
+        rows.append(
+            {
+                "effects": [effect_row(fitted, p) for p in candidate.refit.fitted],
+                "p_value": finite(candidate.p_value),
+                "nrmse_before": dict(
+                    zip(names, map(finite, candidate.judgement.before), strict=True)
+                ),
+                "nrmse_after": dict(
+                    zip(names, map(finite, candidate.judgement.after), strict=True)
+                ),
+                "indistinguishable_from": [
+                    [{"effect": e, "location": p} for e, p in found.candidates[k].refit.sites()]
+                    for k in candidate.alike
+                ],
+                "gain": finite(-candidate.score),
+                "score_rank": candidate.refit.rank,
+                "explained": finite(candidate.explained),
+            }
+        )
+    return rows

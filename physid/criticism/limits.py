@@ -113,9 +113,7 @@ def limits_of(
                 source="model",
             )
         else:
-            limit = Limit(
-                name=joint.name, low=rest - spread, high=rest + spread, source="records"
-            )
+            limit = Limit(name=joint.name, low=rest - spread, high=rest + spread, source="records")
         joints.append(limit)
     return Limits(inputs=inputs, joints=tuple(joints))
 

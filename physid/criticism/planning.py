@@ -41,7 +41,7 @@ class Judged:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Found:
-    """The best plan, None where none separates any two rivals; and which pairs none does.
+    """The best plan, None where none keeps within the limits; and which pairs none separates.
 
     ``separable`` (k, k) says which pairs some plan tells apart; ``equal`` which are the same in all.
     """
@@ -115,11 +115,10 @@ def plan_experiment(
     every = [*seen, *judged]
     separable = _separable(every, margin)
     shares = np.max([np.maximum(j.shares, j.shares.T) for j in every], axis=0)
-    ordered = _best_of(judged or seen, margin)
     return Found(
-        best=ordered[0] if separable.any() else None,
+        best=_best_of(judged or seen, margin)[0],
         separable=separable,
-        equal=(shares < EQUAL) & ~separable,
+        equal=(shares < EQUAL) & ~separable & ~np.eye(len(rivals), dtype=bool),
         tried=len(every),
     )
 
@@ -177,9 +176,7 @@ def _again(
     sizes = np.mean([a.sizes for a in by_horizon], axis=0)
     mean = squares.mean(axis=0)
     pairs = np.maximum(sizes[:, None], sizes[None, :])
-    return Judged(
-        plan=plan, squares=mean, chances=chances, shares=mean / np.maximum(pairs, 1e-300)
-    )
+    return Judged(plan=plan, squares=mean, chances=chances, shares=mean / np.maximum(pairs, 1e-300))
 
 
 def _merged(rows: Sequence[Apart]) -> Apart:
@@ -192,7 +189,7 @@ def _merged(rows: Sequence[Apart]) -> Apart:
 
 def _least(judged: Judged) -> np.ndarray:
     """Return the smaller of both directions of every pair."""
-    return np.minimum(judged.squares, judged.squares.T)
+    return np.asarray(np.minimum(judged.squares, judged.squares.T))
 
 
 def _separable(seen: Sequence[Judged], margin: float) -> np.ndarray:

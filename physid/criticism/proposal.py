@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -56,6 +57,29 @@ class Proposal:
     def rest(self) -> float:
         """How long the rig rests before the signal [s]."""
         return QUIET * self.duration
+
+    @property
+    def words(self) -> str:
+        """The signal in words."""
+        keys, size = dict(self.keys), f"{self.amplitude:.3g}"
+        about = f" about {self.centre:.3g}" if self.centre else ""
+        if self.kind == "mseq":
+            return f"an M-sequence of ±{size}{about} with a clock of {keys['clock']:.3g} s"
+        if self.kind == "levels":
+            return (
+                f"random levels of up to ±{size}{about}, each held for {keys['hold']:.3g} s and then as "
+                "long with the other sign"
+            )
+        if self.kind == "multisine":
+            return f"a multisine of up to ±{size}{about} from {keys['low']:.2g} to {keys['high']:.3g} Hz"
+        if self.kind == "pulses":
+            return (
+                f"pulses of ±{size}{about} and {keys['width']:.3g} s, with {keys['rest']:.3g} s of rest "
+                "between them"
+            )
+        times = int(keys["periods"])
+        again = "" if times == 1 else f", {times} times"
+        return f"a slow ramp up to {size}, down to -{size} and back{about}{again}"
 
     @property
     def excite(self) -> str:
@@ -161,7 +185,7 @@ def within(
         return None
     inputs = np.tile([min(max(0.0, li.low), li.high) for li in limits.inputs], (samples, 1))
     while level > LEAST_LEVEL:
-        tried = replace(proposal, amplitude=level * proposal.amplitude)
+        tried = replace(proposal, amplitude=_round_down(level * proposal.amplitude))
         inputs[:, proposal.actuator] = tried.centre + tried.amplitude * shape
         try:
             courses = tuple(course_of(rival, inputs) for rival in rivals)
@@ -173,6 +197,12 @@ def within(
             return Plan(proposal=tried, inputs=inputs, courses=courses)
         level *= float(np.clip(0.95 / beyond, 0.1, 0.9))
     return None
+
+
+def _round_down(amplitude: float) -> float:
+    """Return three digits of an amplitude, not above it."""
+    unit = 10.0 ** (math.floor(math.log10(amplitude)) - 2)
+    return float(f"{math.floor(amplitude / unit * (1.0 + 1e-12)) * unit:.3g}")
 
 
 def _beyond(course: Course, rival: Rival, limits: Limits) -> float:

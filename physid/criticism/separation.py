@@ -206,9 +206,7 @@ def _on_windows(
     return fewer, len(fewer.windows[0].starts) / len(windows.starts)
 
 
-def _differences(
-    point: Linearisation, residuals: Sequence[list[np.ndarray]], j: int
-) -> np.ndarray:
+def _differences(point: Linearisation, residuals: Sequence[list[np.ndarray]], j: int) -> np.ndarray:
     """Return what every rival does beyond rival j, but for j's initial states, (m, k)."""
     return np.column_stack(
         [
@@ -275,4 +273,3 @@ def probability(squares: np.ndarray, ahead: float, margin: float) -> float:
     if spread <= 0.0:
         return float(ahead > margin)
     return float(ndtr((mean + ahead - margin) / spread))
-

@@ -80,9 +80,7 @@ class Levels(Excitation):
     amplitude: float = 1.0
 
     def __post_init__(self) -> None:
-        check_positive(
-            "levels", hold=self.hold, duration=self.duration, amplitude=self.amplitude
-        )
+        check_positive("levels", hold=self.hold, duration=self.duration, amplitude=self.amplitude)
         if 2.0 * self.hold > self.duration * (1.0 + 1e-9):
             raise InputError(
                 f"The levels of {self.hold:g} s, one of each sign, do not fit into {self.duration:g} "
