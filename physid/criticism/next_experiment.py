@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from physid.criticism.account import finite, thin
-from physid.criticism.diagnosis import CHANCE, TOLD_APART, Diagnosis, describe_sites
+from physid.criticism.diagnosis import CHANCE, TOLD_APART, Candidate, Diagnosis, describe_sites
 from physid.criticism.instead import free_motion_tells, sensor_that_tells
 from physid.criticism.limits import Limits, limits_of
 from physid.criticism.merit import LEAST_GAIN
@@ -27,11 +27,11 @@ from physid.record import Record
 FILE = "next_experiment.csv"
 """Name of the input record in the folder of a result."""
 WEAK = 2.0
-"""A gain below so many times the least that is no chance makes a weak verdict."""
+"""A gain, or a lead over another candidate, below so many times the least makes a weak verdict."""
 NEARLY = 0.5
-"""... and so does one above this share of it, where nothing was named."""
+"""... and so does one above this share of it, where nothing was named and the p-value is no clear one."""
 DOUBTED = 5.0
-"""Times the least significant p-value up to which nothing missing is doubted; its inverse for a claim."""
+"""A p-value within so many times that from which nothing is claimed, to either side, is no clear one."""
 MOST_RIVALS = 5
 """Rivals of a set that are told apart at once."""
 FEWEST, MOST = 100, 1_000_000
@@ -66,15 +66,19 @@ def check_duration(study: Study) -> None:
 def rivals_in(found: Diagnosis) -> tuple[list[Rival], float]:
     """Return the explanations between which a diagnosis leaves doubt, and the margin that removes it.
 
-    They are the set that the records cannot tell apart; or, where the verdict is weak, the best candidate
-    and the model as it stands.  Without doubt there is none.
+    They are the set that the records cannot tell apart.  Where the verdict is weak they are the best
+    candidate and those that come near it, or the model as it stands.  Without doubt there is none.
     """
     if found.verdict == "unexplained" or not found.candidates:
         return [], TOLD_APART
     best = found.candidates[0]
-    if found.verdict == "effect_missing" and best.alike:
-        chosen = [best, *(found.candidates[k] for k in best.alike)][:MOST_RIVALS]
-        return [rival_of(found.base, c.refit, c.score) for c in chosen], TOLD_APART
+    if found.verdict == "effect_missing":
+        alike = [found.candidates[k] for k in best.alike]
+        near = alike or [c for c in found.candidates[1:] if _comes_near(best, c)]
+        if near:
+            chosen = [best, *near][:MOST_RIVALS]
+            margin = TOLD_APART if alike else WEAK * TOLD_APART
+            return [rival_of(found.base, c.refit, c.score) for c in chosen], margin
     if not _is_weak(found):
         return [], TOLD_APART
     return [rival_of(found.base, best.refit, best.score), as_it_stands(found.base)], (
@@ -82,11 +86,22 @@ def rivals_in(found: Diagnosis) -> tuple[list[Rival], float]:
     )
 
 
+def _comes_near(best: Candidate, other: Candidate) -> bool:
+    """Say whether a candidate is hardly told from the best one, and is not that one with more to it."""
+    if other.score - best.score >= WEAK * TOLD_APART:
+        return False
+    inner = {(p.effect.name, p.place) for p in best.refit.added}
+    outer = {(n, p.place) for p in other.refit.added for n in (p.effect.name, *p.effect.supersedes)}
+    return not inner <= outer
+
+
 def _is_weak(found: Diagnosis) -> bool:
     best = found.candidates[0]
     if found.verdict == "effect_missing":
         return -best.score < WEAK * LEAST_GAIN or best.p_value > CHANCE / DOUBTED
-    return -best.score > NEARLY * LEAST_GAIN and best.p_value < CHANCE * DOUBTED
+    return -best.score > LEAST_GAIN or (
+        -best.score > NEARLY * LEAST_GAIN and best.p_value < CHANCE * DOUBTED
+    )
 
 
 def next_experiment(study: Study, found: Diagnosis) -> Next:

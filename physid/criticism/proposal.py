@@ -193,6 +193,8 @@ def within(
             level *= 0.3
             continue
         beyond = max(_beyond(course, rivals[0], limits) for course in courses)
+        if not all(np.ptp(course.outputs, axis=0).any() for course in courses):
+            return None  # friction holds it: less of it would move it no more
         if beyond <= 1.0:
             return Plan(proposal=tried, inputs=inputs, courses=courses)
         level *= float(np.clip(0.95 / beyond, 0.1, 0.9))

@@ -100,7 +100,9 @@ def search(
     groups = _screened(grounds, candidates, REFITS, TRIALS)
     scales = {g[0].place: g[0].scales for g in groups}
     rival = RIVAL if compiled(long) else RIVAL_ON_ENGINE
-    limit = min(rival * long.measurements(), 0.5 * base.fits["long"].squares)
+    # Halfway from noise to the base: half of the base alone is below noise where noise is much of it.
+    noise = float(long.measurements())
+    limit = min(rival * noise, 0.5 * max(base.fits["long"].squares + noise, 2.0 * noise))
     fits: list[Refit] = []
     later: list[int] = []
     # Effects without a shape cost least, and may make it needless to follow the others.
