@@ -63,7 +63,9 @@ def study(case: Case, folder: Path, api: Any = None) -> Line:
     line["truth_among"] = _truth(case) in line["rivals"]
     if first.next_record is None:
         return line | {"decided": None, "sentence": plan["sentence"]}
-    played = with_like_noise(play(case, first.next_record.values[:, 0], plan["timestep"]), generated)
+    played = with_like_noise(
+        play(case, first.next_record.values[:, 0], plan["timestep"]), generated
+    )
     new = folder / "next.csv"
     header, table = ",".join(played), np.column_stack(list(played.values()))
     np.savetxt(new, table, fmt="%.10g", delimiter=",", header=header, comments="")

@@ -1,4 +1,4 @@
-"""What would tell rivals apart that no input separates: another sensor, or a run without the actuator."""
+"""What would tell rivals apart that no signal does: wider limits, another sensor, the actuator switched off."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
+from physid.criticism.limits import Limits, control_range
+from physid.criticism.planning import Task, alike_in, best_of, glances, separable_in
 from physid.criticism.proposal import Plan
 from physid.criticism.separation import Course, Rival, apart, course_of, planned
 from physid.errors import NumericsError
@@ -21,6 +23,61 @@ SHARE = 0.01
 CLEARLY = 10.0
 """Times the separation without it that a sensor must bring: more of the same is no other sensor."""
 PREFIX = "physid_sensor_"
+WIDER = (3.0, 10.0)
+"""Factors on the limits that the records set, tried in turn."""
+
+
+def wider(task: Task, pair: tuple[int, int]) -> tuple[str, float] | None:
+    """Return the limits within which a pair would be told apart, as options, and the separation.
+
+    Only what the records bound is widened: what the user or the MJCF says stays.
+
+    Returns
+    -------
+    (str, float) or None
+        Both empty-handed: ("", 0.0) where the pair is no longer the same, but not told apart either; None
+        where it stays the same in everything that was tried.
+    """
+    rivals = tuple(task.rivals[k] for k in pair)
+    same = True
+    for factor in WIDER:
+        limits = _widened(rivals[0].problem.model, task.limits, factor)
+        found = glances(replace(task, rivals=rivals, limits=limits), brief=True)
+        if not found:
+            continue
+        if separable_in(found, task.margin)[0, 1]:
+            best = best_of(found, task.margin)[0]
+            changed = [
+                f"--limit {new.name}={new.low:.3g}:{new.high:.3g}"
+                for old, new in zip(
+                    (*task.limits.inputs, *task.limits.joints),
+                    (*limits.inputs, *limits.joints),
+                    strict=True,
+                )
+                if new != old
+            ]
+            return " ".join(changed), float(min(best.squares[0, 1], best.squares[1, 0]))
+        same = same and bool(alike_in(found)[0, 1])
+    return None if same else ("", 0.0)
+
+
+def _widened(model: Model, limits: Limits, factor: float) -> Limits:
+    """Return limits with all that the records set multiplied, inputs within their range in the MJCF."""
+    inputs = []
+    for limit in limits.inputs:
+        low, high = control_range(model, limit.name) or (-np.inf, np.inf)
+        inputs.append(
+            replace(limit, low=max(factor * limit.low, low), high=min(factor * limit.high, high))
+            if limit.source == "records"
+            else limit
+        )
+    joints = []
+    for joint, limit in zip(model.structure.joints, limits.joints, strict=True):
+        rest = float(model.nominal.qpos0[joint.qpos])
+        reach = factor * (limit.high - rest)
+        wide = replace(limit, low=rest - reach, high=rest + reach)
+        joints.append(wide if limit.source == "records" else limit)
+    return Limits(inputs=tuple(inputs), joints=tuple(joints))
 
 
 def sensor_that_tells(

@@ -62,7 +62,7 @@ def check_limits(model: Model, given: Mapping[str, tuple[float, float]]) -> None
             raise InputError(
                 f"--limit {name}={low:g}:{high:g} is no range: give two numbers, the lower first."
             )
-        own = _control_range(model, name) if name in structure.inputs else None
+        own = control_range(model, name) if name in structure.inputs else None
         if own is not None and (low < own[0] or high > own[1]):
             raise InputError(
                 f"--limit {name}={low:g}:{high:g} lies outside the MJCF's ctrlrange "
@@ -126,13 +126,13 @@ def _of_input(
     columns = [w.experiment.inputs[:, k] for w in problem.windows]
     largest = max(float(np.abs(u).max(initial=0.0)) for u in columns)
     low, high = -largest, largest
-    own = _control_range(problem.model, name)
+    own = control_range(problem.model, name)
     if own is not None:
         low, high = max(low, own[0]), min(high, own[1])
     return Limit(name=name, low=low, high=high, source="records")
 
 
-def _control_range(model: Model, name: str) -> tuple[float, float] | None:
+def control_range(model: Model, name: str) -> tuple[float, float] | None:
     """Return the MJCF's ctrlrange of an input, None where it has none or takes several controls."""
     compiled = model.nominal
     i = mujoco.mj_name2id(compiled, mujoco.mjtObj.mjOBJ_ACTUATOR, name)

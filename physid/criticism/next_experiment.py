@@ -15,10 +15,10 @@ import numpy as np
 
 from physid.criticism.account import finite, thin
 from physid.criticism.diagnosis import CHANCE, TOLD_APART, Candidate, Diagnosis, describe_sites
-from physid.criticism.instead import free_motion_tells, sensor_that_tells
-from physid.criticism.limits import Limits, limits_of
+from physid.criticism.instead import free_motion_tells, sensor_that_tells, wider
+from physid.criticism.limits import limits_of
 from physid.criticism.merit import LEAST_GAIN
-from physid.criticism.planning import Found, Judged, longest, plan_experiment
+from physid.criticism.planning import Found, Judged, Task, longest, plan_experiment
 from physid.criticism.separation import Rival, as_it_stands, rival_of
 from physid.errors import InputError
 from physid.identification.study import Study
@@ -121,10 +121,15 @@ def next_experiment(study: Study, found: Diagnosis) -> Next:
     if not rivals:
         return Next()
     base, options = found.base, study.options
-    limits = limits_of(base.problems["long"], base.fits["long"], options.limits)
-    duration = options.duration or longest(rivals)
-    plans = plan_experiment(rivals, limits, duration=duration, margin=margin, seed=options.seed)
-    told = _Told(rivals, plans, limits, margin)
+    task = Task(
+        rivals=tuple(rivals),
+        limits=limits_of(base.problems["long"], base.fits["long"], options.limits),
+        duration=options.duration or longest(rivals),
+        margin=margin,
+        seed=options.seed,
+    )
+    plans = plan_experiment(task)
+    told = _Told(task, plans)
     data = told.as_dict()
     if plans.best is None or not plans.separable.any():
         return Next(data=data)
@@ -139,12 +144,11 @@ def next_experiment(study: Study, found: Diagnosis) -> Next:
 class _Told:
     """What a search for an experiment found, in words and numbers."""
 
-    def __init__(
-        self, rivals: Sequence[Rival], plans: Found, limits: Limits, margin: float
-    ) -> None:
-        self.rivals, self.plans, self.limits, self.margin = rivals, plans, limits, margin
-        self.names = [describe_sites(r.sites) or "the model as it stands" for r in rivals]
-        self.pairs = list(combinations(range(len(rivals)), 2))
+    def __init__(self, task: Task, plans: Found) -> None:
+        self.task, self.plans = task, plans
+        self.rivals, self.limits, self.margin = task.rivals, task.limits, task.margin
+        self.names = [describe_sites(r.sites) or "the model as it stands" for r in self.rivals]
+        self.pairs = list(combinations(range(len(self.rivals)), 2))
 
     def as_dict(self) -> dict[str, Any]:
         """Return the JSON object, but for the signal."""
@@ -177,16 +181,19 @@ class _Told:
     def _pair_row(self, i: int, j: int) -> dict[str, Any]:
         best, separable = self.plans.best, bool(self.plans.separable[i, j])
         squares = chance = None
+        equal, instead = False, ""
         if best is not None:
             squares = finite(min(best.squares[i, j], best.squares[j, i]))
             chance = finite(min(best.chances[i, j], best.chances[j, i]))
+            if not separable:
+                equal, instead = self._instead(i, j)
         return {
             "between": [i, j],
             "separation": squares,
             "probability": chance,
             "separable": separable,
-            "equal": bool(self.plans.equal[i, j]),
-            "instead": "" if separable or best is None else self._instead(i, j),
+            "equal": equal,
+            "instead": instead,
         }
 
     def _drive(self, told: Sequence[dict[str, Any]]) -> list[str]:
@@ -212,7 +219,7 @@ class _Told:
             f"{best.plan.proposal.duration:.3g} s in all from rest ({FILE}), and diagnose the old and "
             f"the new record together: {what} are then told apart with a probability of "
             f"{_percent(chance)} (expected separation "
-            f"{min(r['separation'] for r in told):.2g} in chi-square units, {self.margin:g} needed)."
+            f"{_size(min(r['separation'] for r in told))} in chi-square units, {self.margin:g} needed)."
         ]
 
     def _nothing_runs(self) -> str:
@@ -232,22 +239,20 @@ class _Told:
             "--duration."
         )
 
-    def _instead(self, i: int, j: int) -> str:
-        """Say what would tell a pair that no input does."""
+    def _instead(self, i: int, j: int) -> tuple[bool, str]:
+        """Say whether a pair that no signal tells apart is the same in all, and what would tell it."""
         assert self.plans.best is not None
         pair = (i, j)
-        if self.plans.equal[i, j]:
-            start = (
-                f"{_capital(self.names[i])} and {self.names[j]} are equal in every experiment that the "
-                "actuators allow"
-            )
+        limits = wider(self.task, pair)
+        equal = limits is None and bool(self.plans.alike[i, j])
+        one, other = self.names[i], self.names[j]
+        if equal:
+            start = f"{_capital(one)} and {other} are equal in every experiment that the actuators allow"
         else:
-            best = min(self.plans.best.squares[i, j], self.plans.best.squares[j, i])
-            start = (
-                f"No signal within the limits tells {self.names[i]} and {self.names[j]} apart "
-                f"(expected separation {best:.2g}, {self.margin:g} needed)"
-            )
+            start = f"No signal within the limits tells {one} and {other} apart"
         ways = []
+        if limits is not None and limits[0]:
+            ways.append(f"wider ones would, {limits[0]} (expected separation {_size(limits[1])})")
         actuator = free_motion_tells(self.rivals, pair)
         if actuator:
             ways.append(
@@ -256,17 +261,16 @@ class _Told:
         sensor = sensor_that_tells(self.rivals, pair, self.plans.best.plan, self.margin)
         if sensor is not None:
             ways.append(
-                f"{sensor[0]} would tell (expected separation {sensor[1]:.2g} where its noise is 1 % of "
-                "its signal)"
-            )
-        if not ways and not self.plans.equal[i, j]:
-            first = self.limits.inputs[0].name
-            ways.append(
-                f"allow more with --limit {first}=LOW:HIGH or --duration SECONDS, or measure more exactly"
+                f"{sensor[0]} would tell (expected separation {_size(sensor[1])} where its noise is 1 % "
+                "of its signal)"
             )
         if not ways:
-            ways.append("no sensor of a joint's position or speed would tell either")
-        return f"{start}; {', and '.join(ways)}."
+            ways.append(
+                "no sensor of a joint's position or speed would tell either"
+                if equal
+                else "take a longer --duration, or measure more exactly"
+            )
+        return equal, f"{start}: {', and '.join(ways)}."
 
 
 def _signal_row(best: Judged, rival: Rival, seed: int) -> dict[str, Any]:
@@ -318,6 +322,17 @@ def _percent(chance: float) -> str:
     if chance > 0.9995:
         return "more than 99.9 %"
     return f"{100.0 * chance:.0f} %" if chance < 0.99 else f"{100.0 * chance:.1f} %"
+
+
+def _size(squares: float) -> str:
+    """Write a separation; beyond what matters its size is that of a linearisation only."""
+    return (
+        "more than 10000"
+        if squares > 1e4
+        else f"{squares:.2g}"
+        if squares < 100
+        else f"{squares:.0f}"
+    )
 
 
 def _listed(names: Sequence[str]) -> str:

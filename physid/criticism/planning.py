@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from physid.criticism.limits import Limits
 from physid.criticism.proposal import LEVELS, Plan, Proposal, proposals, within
+from physid.criticism.refit import HORIZONS
 from physid.criticism.separation import Apart, Rival, apart, planned, probability
 from physid.errors import NumericsError
 from physid.identification.staged import compiled
@@ -23,6 +24,40 @@ PACES = (0.6, 1.7)
 """Factors on the speed of the best one that are tried as well."""
 EQUAL = 1e-4
 """Share of what an effect does that rivals may differ by and still be called equal: 1 % of its force."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Task:
+    """What an experiment is wanted for, and within what.
+
+    Parameters
+    ----------
+    rivals : tuple of Rival
+        Two or more.
+    limits : Limits
+    duration : float
+        [s].
+    margin : float
+        Difference of scores from which two rivals are told apart.
+    seed : int
+        Of random signals.
+    """
+
+    rivals: tuple[Rival, ...]
+    limits: Limits
+    duration: float
+    margin: float
+    seed: int = 0
+
+    @property
+    def dt(self) -> float:
+        """Sampling interval [s], that of the old records."""
+        return self.rivals[0].problem.windows[0].experiment.dt
+
+    @property
+    def fast(self) -> bool:
+        """Whether the compiled back end simulates the rivals."""
+        return compiled(self.rivals[0].problem)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,12 +78,12 @@ class Judged:
 class Found:
     """The best plan, None where none keeps within the limits; and which pairs none separates.
 
-    ``separable`` (k, k) says which pairs some plan tells apart; ``equal`` which are the same in all.
+    ``separable`` (k, k) says which pairs some plan tells apart; ``alike`` which are the same in all.
     """
 
     best: Judged | None
     separable: np.ndarray
-    equal: np.ndarray
+    alike: np.ndarray
     tried: int
 
 
@@ -61,130 +96,92 @@ def longest(rivals: Sequence[Rival]) -> float:
     return samples * experiments[0].dt
 
 
-def plan_experiment(
-    rivals: Sequence[Rival],
-    limits: Limits,
-    *,
-    duration: float,
-    margin: float,
-    seed: int,
-    report: Callable[[float], None] = lambda share: None,
-) -> Found:
+def plan_experiment(task: Task) -> Found:
     """Find the experiment in which the least separated pair of rivals is separated most.
 
     Every signal is judged at a glance, on long windows; the best on all horizons, at other speeds too.
     Pairs that no signal separates are left out of the criterion.
-
-    Parameters
-    ----------
-    rivals : sequence of Rival
-        Two or more.
-    limits : Limits
-    duration : float
-        [s].
-    margin : float
-        Difference of scores from which two candidates are told apart.
-    seed : int
-        Of random signals.
     """
-    fast = compiled(rivals[0].problem)
-    dt = rivals[0].problem.windows[0].experiment.dt
-    glance = GLANCE if fast else GLANCE_ON_ENGINE
-    wanted = list(proposals(limits, dt, duration, brief=not fast))
-    seen: list[Judged] = []
-    for done, proposal in enumerate(wanted):
-        report(0.7 * done / len(wanted))
-        first = _judged(proposal, rivals, limits, dt, seed, margin, ("long",), glance)
-        if first is None:
-            continue
-        seen.append(first)
-        for level in LEVELS[1:] if fast else ():
-            lower = replace(proposal, amplitude=level * first.plan.proposal.amplitude)
-            other = _judged(lower, rivals, limits, dt, seed, margin, ("long",), glance)
-            seen += [] if other is None else [other]
+    seen = glances(task, brief=not task.fast)
     if not seen:
-        none = np.zeros((len(rivals), len(rivals)), dtype=bool)
-        return Found(best=None, separable=none, equal=none, tried=len(wanted))
-    report(0.7)
-    closely = _best_of(seen, margin)[: CLOSELY if fast else CLOSELY_ON_ENGINE]
-    horizons = tuple(h for h in rivals[0].known if all(h in r.known for r in rivals))
-    close = [_again(j.plan, rivals, margin, horizons) for j in closely]
-    judged = [j for j in close if j is not None]
-    judged += _at_other_speeds(judged, rivals, limits, dt, seed, margin, horizons)
-    report(1.0)
+        none = np.zeros((len(task.rivals), len(task.rivals)), dtype=bool)
+        return Found(best=None, separable=none, alike=none, tried=0)
+    closely = best_of(seen, task.margin)[: CLOSELY if task.fast else CLOSELY_ON_ENGINE]
+    judged = [j for j in (_closely(task, one.plan) for one in closely) if j is not None]
+    judged += _at_other_speeds(task, judged)
     every = [*seen, *judged]
-    separable = _separable(every, margin)
-    shares = np.max([np.maximum(j.shares, j.shares.T) for j in every], axis=0)
     return Found(
-        best=_best_of(judged or seen, margin)[0],
-        separable=separable,
-        equal=(shares < EQUAL) & ~separable & ~np.eye(len(rivals), dtype=bool),
+        best=best_of(judged or seen, task.margin)[0],
+        separable=separable_in(every, task.margin),
+        alike=alike_in(every),
         tried=len(every),
     )
 
 
-def _judged(
-    proposal: Proposal,
-    rivals: Sequence[Rival],
-    limits: Limits,
-    dt: float,
-    seed: int,
-    margin: float,
-    horizons: tuple[str, ...],
-    most: int | None = None,
-) -> Judged | None:
-    plan = within(proposal, rivals, limits, dt, seed)
-    return None if plan is None else _again(plan, rivals, margin, horizons, most)
+def glances(task: Task, *, brief: bool) -> list[Judged]:
+    """Judge every signal that keeps within the limits on some long windows.
+
+    Parameters
+    ----------
+    task : Task
+    brief : bool
+        Fewer signals, at their largest level alone.
+    """
+    seen: list[Judged] = []
+    for proposal in proposals(task.limits, task.dt, task.duration, brief=brief):
+        first = _glance(task, proposal)
+        if first is None:
+            continue
+        seen.append(first)
+        for level in () if brief else LEVELS[1:]:
+            amplitude = level * first.plan.proposal.amplitude
+            other = _glance(task, replace(proposal, amplitude=amplitude))
+            seen += [] if other is None else [other]
+    return seen
 
 
-def _again(
-    plan: Plan,
-    rivals: Sequence[Rival],
-    margin: float,
-    horizons: tuple[str, ...],
-    most: int | None = None,
-) -> Judged | None:
-    """Judge a plan at some horizons, along what the first rival would do, or every one if all are asked."""
-    leading = range(len(rivals)) if most is None else range(1)
-    by_horizon = []
-    for horizon in horizons:
+def _glance(task: Task, proposal: Proposal) -> Judged | None:
+    """Judge a proposal on some of its long windows, along what the first rival would do."""
+    plan = within(proposal, task.rivals, task.limits, task.dt, task.seed)
+    if plan is None:
+        return None
+    most = GLANCE if task.fast else GLANCE_ON_ENGINE
+    experiment = planned(task.rivals[0], plan.inputs, plan.courses[0])
+    try:
+        found = apart(task.rivals, experiment, plan.courses[0], "long", most=most)
+    except NumericsError:
+        return None
+    return _judged(task, plan, [found])
+
+
+def _closely(task: Task, plan: Plan) -> Judged | None:
+    """Judge a plan at all horizons, along what every rival would do."""
+    found = []
+    for horizon in (h for h in HORIZONS if all(h in r.known for r in task.rivals)):
         try:
             rows = [
-                apart(
-                    rivals,
-                    planned(rivals[i], plan.inputs, plan.courses[i]),
-                    plan.courses[i],
-                    horizon,
-                    most=most,
-                )
-                for i in leading
+                apart(task.rivals, planned(rival, plan.inputs, course), course, horizon)
+                for rival, course in zip(task.rivals, plan.courses, strict=True)
             ]
         except NumericsError:
             continue
-        by_horizon.append(_merged(rows))
-    if not by_horizon:
-        return None
-    squares = np.array([a.squares for a in by_horizon])
-    scores = np.array([r.score for r in rivals])
+        squares = np.array([a.squares[i] for i, a in enumerate(rows)])
+        found.append(Apart(squares=squares, sizes=np.mean([a.sizes for a in rows], axis=0)))
+    return _judged(task, plan, found) if found else None
+
+
+def _judged(task: Task, plan: Plan, found: Sequence[Apart]) -> Judged:
+    """Put together what was found at some horizons."""
+    squares = np.array([a.squares for a in found])
+    scores = np.array([r.score for r in task.rivals])
     ahead = scores[None, :] - scores[:, None]
-    chances = np.array(
-        [
-            [probability(squares[:, i, j], float(ahead[i, j]), margin) for j in range(len(rivals))]
-            for i in range(len(rivals))
-        ]
-    )
-    sizes = np.mean([a.sizes for a in by_horizon], axis=0)
+    chances = np.empty_like(ahead)
+    for i, j in np.ndindex(*ahead.shape):
+        chances[i, j] = probability(squares[:, i, j], float(ahead[i, j]), task.margin)
+    sizes = np.mean([a.sizes for a in found], axis=0)
     mean = squares.mean(axis=0)
-    pairs = np.maximum(sizes[:, None], sizes[None, :])
-    return Judged(plan=plan, squares=mean, chances=chances, shares=mean / np.maximum(pairs, 1e-300))
-
-
-def _merged(rows: Sequence[Apart]) -> Apart:
-    """Return row i of what was found along rival i's course, or all rows of the only one there is."""
-    if len(rows) == 1:
-        return rows[0]
-    squares = np.array([a.squares[i] for i, a in enumerate(rows)])
-    return Apart(squares=squares, sizes=np.mean([a.sizes for a in rows], axis=0))
+    largest = np.maximum(np.maximum(sizes[:, None], sizes[None, :]), 1e-300)
+    return Judged(plan=plan, squares=mean, chances=chances, shares=mean / largest)
 
 
 def _least(judged: Judged) -> np.ndarray:
@@ -192,13 +189,20 @@ def _least(judged: Judged) -> np.ndarray:
     return np.asarray(np.minimum(judged.squares, judged.squares.T))
 
 
-def _separable(seen: Sequence[Judged], margin: float) -> np.ndarray:
+def separable_in(seen: Sequence[Judged], margin: float) -> np.ndarray:
+    """Return which pairs some plan tells apart, (k, k)."""
     return np.asarray(np.max([_least(j) for j in seen], axis=0) > margin)
 
 
-def _best_of(seen: Sequence[Judged], margin: float) -> list[Judged]:
+def alike_in(seen: Sequence[Judged]) -> np.ndarray:
+    """Return which pairs are the same in all plans, but for next to nothing, (k, k)."""
+    shares = np.max([np.maximum(j.shares, j.shares.T) for j in seen], axis=0)
+    return np.asarray((shares < EQUAL) & ~np.eye(len(shares), dtype=bool))
+
+
+def best_of(seen: Sequence[Judged], margin: float) -> list[Judged]:
     """Sort by the least separated of the pairs that anything separates; else by the most separated."""
-    pairs = _separable(seen, margin)
+    pairs = separable_in(seen, margin)
 
     def worst(judged: Judged) -> float:
         values = _least(judged)
@@ -207,20 +211,14 @@ def _best_of(seen: Sequence[Judged], margin: float) -> list[Judged]:
     return sorted(seen, key=worst, reverse=True)
 
 
-def _at_other_speeds(
-    judged: Sequence[Judged],
-    rivals: Sequence[Rival],
-    limits: Limits,
-    dt: float,
-    seed: int,
-    margin: float,
-    horizons: tuple[str, ...],
-) -> list[Judged]:
+def _at_other_speeds(task: Task, judged: Sequence[Judged]) -> list[Judged]:
+    """Judge the best plan's signal at other speeds too."""
     if not judged:
         return []
-    best = _best_of(judged, margin)[0].plan.proposal
-    found = [
-        _judged(best.faster(factor), rivals, limits, dt, seed, margin, horizons)
+    best = best_of(judged, task.margin)[0].plan.proposal
+    plans = [
+        within(best.faster(factor), task.rivals, task.limits, task.dt, task.seed)
         for factor in (PACES if best.speed else ())
     ]
+    found = [_closely(task, plan) for plan in plans if plan is not None]
     return [j for j in found if j is not None]

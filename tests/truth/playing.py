@@ -30,7 +30,9 @@ def play(case: Case, inputs: Array, period: float, *, substeps: int = 20) -> dic
         Columns of a record without noise.
     """
     rig = RIGS[case.rig]
-    quiet = np.concatenate([np.zeros(LEAD), inputs])  # a sensor remembers what was before the record
+    quiet = np.concatenate(
+        [np.zeros(LEAD), inputs]
+    )  # a sensor remembers what was before the record
     rest = np.zeros(len(rig.joints))
     lead, driven = (LEAD, quiet) if KINDS[case.effect].read is not None else (0, np.asarray(inputs))
     position, _ = simulate(true_plant(case), driven, period, rest, rest, substeps=substeps)
