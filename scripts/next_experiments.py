@@ -1,9 +1,9 @@
 """Does the proposed experiment decide?  Doubtful diagnoses, the experiment run on the true rig, diagnosed again.
 
-Cases are those of the bank of hidden effects, made hard enough to leave doubt: short records, much noise,
-motions that never turn. Where a diagnosis ends in a set of rivals or in a weak verdict, its
-next_experiment is played on the truth (an integrator that shares nothing with physid), with the same
-noise, and both records are diagnosed together.
+Cases are those of the bank of hidden effects, with records that leave doubt: tones below the rig's mode
+or a single one above it, levels of one sign, much noise. Where a diagnosis ends in a set of rivals or in
+a weak verdict, its next_experiment is played on the truth (an integrator that shares nothing with
+physid), with the same noise, and both records are diagnosed together.
 
     python scripts/next_experiments.py --small
     python scripts/next_experiments.py --seed 1 --cases 60 --out decided
@@ -23,33 +23,39 @@ from typing import Annotated, Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-import numpy as np  # noqa: E402
-import typer  # noqa: E402
-from hidden_effect_bank import Line, _fit, _physid, collect, settled_seed  # noqa: E402
-from rich.console import Console  # noqa: E402
-from rich.table import Table  # noqa: E402
+import numpy as np
+import typer
+from hidden_effect_bank import Line, _fit, _physid, collect, settled_seed
+from rich.console import Console
+from rich.table import Table
 
-from tests.truth import scoring  # noqa: E402
-from tests.truth.bank import Case, cases, make, write  # noqa: E402
-from tests.truth.playing import play, with_like_noise  # noqa: E402
+from tests.truth import scoring
+from tests.truth.bank import Case, cases, make, write
+from tests.truth.playing import POOR, play, poor_input, with_noise
+from tests.truth.rigs import RIGS
 
-NOISE = (0.01, 0.05, 0.15)
-SECONDS = (2.0, 4.0)
+NOISE = (0.01, 0.05)
+SECONDS = (3.0, 5.0)
 BOUNDS: dict[str, tuple[str, float]] = {"decided": (">=", 0.9), "errors": ("<=", 0.0)}
 
 
 def study(case: Case, folder: Path, api: Any = None) -> Line:
     """Diagnose, and where that leaves doubt run what is proposed and diagnose again."""
     api = _physid() if api is None else api
-    generated = make(case)
-    write(generated, folder)
+    rig, rng = RIGS[case.rig], np.random.default_rng([case.seed, 6])
+    kind = POOR[case.seed % len(POOR)]
+    write(make(case), folder)
+    clean = play(case, poor_input(kind, case, rng), rig.period)
+    level = {s: case.noise * min(float(np.std(clean[s])) for s in rig.sensors) for s in rig.sensors}
+    model, old = folder / "model.xml", folder / "old.csv"
+    save(old, with_noise(clean, level, case.seed))
     call = {"fit": _fit(case), "seed": case.seed % 2**31}
-    model, old = folder / "model.xml", folder / "train.csv"
     started = time.process_time()
     first = api.diagnose(model, [old], **call)
     used = time.process_time() - started
     data = first.as_dict()
     line: Line = {
+        "input": kind,
         "named": scoring.named(data),
         "verdict": data["verdict"],
         "doubt": data["next_experiment"] is not None,
@@ -63,14 +69,17 @@ def study(case: Case, folder: Path, api: Any = None) -> Line:
     line["truth_among"] = _truth(case) in line["rivals"]
     if first.next_record is None:
         return line | {"decided": None, "sentence": plan["sentence"]}
-    played = with_like_noise(
-        play(case, first.next_record.values[:, 0], plan["timestep"]), generated
-    )
-    new = folder / "next.csv"
-    header, table = ",".join(played), np.column_stack(list(played.values()))
-    np.savetxt(new, table, fmt="%.10g", delimiter=",", header=header, comments="")
+    played = play(case, first.next_record.values[:, 0], plan["timestep"])
+    new = folder / "new.csv"
+    save(new, with_noise(played, level, case.seed + 1))
     after = api.diagnose(model, [old, new], **call).as_dict()
     return line | _outcome(case, line["rivals"], plan, after)
+
+
+def save(path: Path, columns: Mapping[str, Any]) -> None:
+    """Write columns as a record."""
+    table = np.column_stack(list(columns.values()))
+    np.savetxt(path, table, fmt="%.10g", delimiter=",", header=",".join(columns), comments="")
 
 
 def _sites(effects: Sequence[Mapping[str, Any]]) -> str:
@@ -152,7 +161,7 @@ def planned(seed: int, small: bool, number: int | None) -> list[Case]:
     found = cases(
         seed,
         noise=(0.003,),
-        nulls=2,
+        nulls=1,
         seconds=(2.0, 2.0) if small else SECONDS,
         limit=2 if small else number,
     )

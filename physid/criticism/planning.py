@@ -25,6 +25,9 @@ PACES = (0.6, 1.7)
 EQUAL = 1e-4
 """Share of what an effect does that rivals may differ by and still be called equal: 1 % of its force."""
 
+ZERO = 1e-2
+"""Separation that is none, whatever the effects do: rounding and finite differences leave so much."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
@@ -191,13 +194,15 @@ def _least(judged: Judged) -> np.ndarray:
 
 def separable_in(seen: Sequence[Judged], margin: float) -> np.ndarray:
     """Return which pairs some plan tells apart, (k, k)."""
-    return np.asarray(np.max([_least(j) for j in seen], axis=0) > margin)
+    told = np.max([_least(j) for j in seen], axis=0) > margin
+    return np.asarray(told & ~np.eye(len(told), dtype=bool))
 
 
 def alike_in(seen: Sequence[Judged]) -> np.ndarray:
     """Return which pairs are the same in all plans, but for next to nothing, (k, k)."""
     shares = np.max([np.maximum(j.shares, j.shares.T) for j in seen], axis=0)
-    return np.asarray((shares < EQUAL) & ~np.eye(len(shares), dtype=bool))
+    most = np.max([np.maximum(j.squares, j.squares.T) for j in seen], axis=0)
+    return np.asarray(((shares < EQUAL) | (most < ZERO)) & ~np.eye(len(shares), dtype=bool))
 
 
 def best_of(seen: Sequence[Judged], margin: float) -> list[Judged]:

@@ -4,7 +4,7 @@ If explanation i is true and j is fitted to the new record together with the old
 squares than i by about
 
 .. math:: D_{ij} = \min_{\delta, x} \|y_i - y_j - J_j \delta - X_j x\|^2 + \|r_j - R_j \delta\|^2
-          - \min_\delta \|r_j - R_j \delta\|^2
+          - \min_{\delta, x} \|J_j \delta + X_j x\|^2 + \|r_j - R_j \delta\|^2
 
 with the simulated outputs y, j's sensitivities J to its parameters and X to the windows' initial states,
 all over the noise's standard deviation, and what the old records say of the same parameters: residual r
@@ -12,8 +12,10 @@ and sensitivities R.  This is the criterion of T-optimality, with the rivals lin
 Biometrika 62 (1975) 57 for two rivals and 289 for several.  The difference of the squares then has mean D
 and standard deviation 2 sqrt(D) (white noise).
 
-Limits: j is linearised along what i would do, so a refit that leads far away finds less; bounds of
-parameters are not used, so one that stops at its bound finds more.
+A parameter that the old records hold at its bound stays there.
+
+Limits: j is linearised along what i would do, so a refit that leads far away finds less; one that is
+stopped by a bound on its way leaves more.
 """
 
 from __future__ import annotations
@@ -229,12 +231,27 @@ def _left(
             rows.append(np.eye(len(rival.theta))[k : k + 1] / p.prior[1])
             sides.append(np.array([(p.prior[0] - rival.theta[k]) / p.prior[1]]))
     old, side = np.concatenate(rows), np.concatenate(sides)
-    columns = np.concatenate([weight * point.projected, old])
+    free = _free(rival, old.T @ side)
+    columns = np.concatenate([weight * point.projected, old])[:, free]
+    nothing = np.zeros((len(point.projected), 1))
     targets = np.concatenate(
-        [weight * differences, np.repeat(side[:, None], differences.shape[1], axis=1)]
+        [
+            weight * np.concatenate([differences, nothing], axis=1),
+            np.repeat(side[:, None], differences.shape[1] + 1, axis=1),
+        ]
     )
-    both = _unexplained(columns, targets)
-    return np.asarray(np.maximum(both - _unexplained(old, side[:, None]), 0.0))
+    left = _unexplained(columns, targets)
+    return np.asarray(np.maximum(left[:-1] - left[-1], 0.0))
+
+
+def _free(rival: Rival, descent: np.ndarray) -> np.ndarray:
+    """Return which parameters may move (p,): not those that the old records hold at a bound."""
+    found = []
+    for p, value, slope in zip(rival.problem.parameters, rival.theta, descent, strict=True):
+        near = 1e-6 * max(abs(value), p.scale)
+        low, high = value - p.lower <= near and slope < 0.0, p.upper - value <= near and slope > 0.0
+        found.append(not (low or high))
+    return np.array(found, dtype=bool)
 
 
 def _unexplained(columns: np.ndarray, targets: np.ndarray) -> np.ndarray:

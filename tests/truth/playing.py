@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from .bank import LEAD, Case, Columns, Generated, true_plant
+from .bank import LEAD, Case, Columns, true_plant
 from .hidden import KINDS
 from .integrator import simulate
 from .plants import Array
@@ -47,11 +49,27 @@ def play(case: Case, inputs: Array, period: float, *, substeps: int = 20) -> dic
     return found | {sensor: position[lead:, i] for i, sensor in enumerate(rig.sensors)}
 
 
-def with_like_noise(played: Columns, generated: Generated) -> dict[str, Array]:
-    """Add noise of the level that the case's sensors had in its training record."""
-    rng = np.random.default_rng([generated.case.seed, 5])
-    noisy = dict(played)
-    for sensor in RIGS[generated.case.rig].sensors:
-        level = float(np.std(generated.train[sensor] - generated.truth_train[sensor]))
-        noisy[sensor] = played[sensor] + level * rng.standard_normal(played[sensor].size)
-    return noisy
+POOR = ("slow", "single", "one_way")
+
+
+def poor_input(kind: str, case: Case, rng: np.random.Generator) -> Array:
+    """Return an input of the case's length that leaves much open, (samples,).
+
+    ``slow`` has three tones below the rig's mode, ``single`` one above it, ``one_way`` levels of one sign.
+    """
+    rig = RIGS[case.rig]
+    time = rig.period * np.arange(round(case.seconds / rig.period))
+    if kind == "one_way":
+        levels = rng.uniform(0.4, 1.6, time.size // round(0.2 / rig.period) + 1)
+        return np.asarray(rig.torque * np.repeat(levels, round(0.2 / rig.period))[: time.size])
+    tones = rng.uniform((0.1, 0.2, 0.4), (0.2, 0.4, 0.6)) if kind == "slow" else [1.4]
+    angles = [2.0 * np.pi * rig.mode * f * time + rng.uniform(0.0, 6.28) for f in tones]
+    grown = 1.0 - np.exp(-time * rig.mode)
+    return np.asarray(rig.torque * grown * np.sum(np.sin(angles), axis=0))
+
+
+def with_noise(played: Columns, level: Mapping[str, float], seed: int) -> dict[str, Array]:
+    """Add white noise of some standard deviation to every sensor."""
+    rng = np.random.default_rng([seed, 5])
+    noise = {s: x * rng.standard_normal(played[s].size) for s, x in level.items()}
+    return {name: values + noise.get(name, 0.0) for name, values in played.items()}
