@@ -11,6 +11,7 @@ import physid
 from physid.cli.delivery import deliver, say, working
 from physid.cli.ending import OK
 from physid.cli.options import Output, Study, grouped
+from physid.cli.parsing import parse_limits
 
 EVIDENCE = typer.Option(
     "--evidence",
@@ -42,12 +43,40 @@ def diagnose(
     study: Study,
     output: Output,
     evidence: Annotated[list[Path] | None, EVIDENCE] = None,
+    limit: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--limit",
+            metavar="NAME=LOW:HIGH",
+            help="How far the next experiment may drive an actuator or move a joint. Repeatable. "
+            "Default: the MJCF's ranges, and no farther than the records went.",
+        ),
+    ] = None,
+    duration: Annotated[
+        float | None,
+        typer.Option(
+            "--duration",
+            metavar="SECONDS",
+            help="How long the next experiment is. Default: as the longest record.",
+        ),
+    ] = None,
 ) -> int:
-    """Name the physical effect that the model lacks, and where, with evidence."""
-    options = study.keywords(default_fit="auto") | {"evidence": read_evidence(evidence)}
+    """Name the physical effect that the model lacks, and where, with evidence.
+
+    Where the records leave doubt, --out gets next_experiment.csv: the inputs that would decide.
+    """
+    options = study.keywords(default_fit="auto")
+    options |= {"evidence": read_evidence(evidence)}
+    options |= {"limits": parse_limits(limit or ()), "duration": duration}
+    from physid.record import write_record
+
     with working(output) as run:
         result = physid.diagnose(study.source(), study.records, **options, **run)
-    deliver(result, output)
+    record = result.next_record
+    extra = {} if record is None else {record.path: lambda file: write_record(record, file)}
+    deliver(result, output, extra=extra)
+    if record is not None and output.out is None and not output.as_json:
+        say(f"To keep {record.path}, name a folder with --out DIR.")
     return OK
 
 

@@ -33,6 +33,9 @@ NAMED_BESIDE = 0.3
 TOLD_APART = 10.0
 """Difference of the information criterion below which two candidates are not told apart."""
 
+PROPER = ("coulomb", "stribeck")
+"""Words of effects that are the names of people."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
@@ -222,7 +225,18 @@ def _grows(base: Base) -> bool:
 
 def describe(fit: Refit) -> str:
     """Write a candidate as ``Coulomb friction at load``, pairs joined by ``and``."""
-    return " and ".join(f"{name.replace('_', ' ')} at {place}" for name, place in fit.sites())
+    return describe_sites(fit.sites())
+
+
+def describe_sites(sites: Sequence[tuple[str, str]]) -> str:
+    """Write effects with their places in words, joined by ``and``; empty for none."""
+    return " and ".join(f"{_in_words(name)} at {place}" for name, place in sites)
+
+
+def _in_words(name: str) -> str:
+    """Write an effect's name in words: ``Coulomb friction``."""
+    first, *rest = name.split("_")
+    return " ".join([first.capitalize() if first in PROPER else first, *rest])
 
 
 def _missing_sentence(study: Study, best: Candidate) -> str:

@@ -35,7 +35,9 @@ from physid.criticism.diagnosis import (
     diagnose_study,
 )
 from physid.criticism.leads import read_leads
+from physid.criticism.limits import check_limits
 from physid.criticism.localisation import where
+from physid.criticism.next_experiment import Next, check_duration, next_experiment
 from physid.criticism.pictures import diagnosis_curves, tested_curves
 from physid.criticism.refit import start_of, with_candidate
 from physid.effects.catalogue import load_model_text
@@ -50,6 +52,7 @@ from physid.identification.study import Options, Study, as_model, experiments_of
 from physid.identification.windows import whole
 from physid.plant.effect import Placed
 from physid.plant.model import Model
+from physid.record import Record
 
 EARNED = 0.8
 """Squares on the whole records must fall to this share (the error by a tenth) for an effect to stay."""
@@ -63,36 +66,50 @@ def diagnose(
     *,
     evidence: Sequence[Mapping[str, Any]] = (),
     **options: Any,
-) -> Result:
+) -> Diagnosed:
     """Name the physical effect a model lacks, and where, with evidence; or that none is missing.
 
     Parameters
     ----------
     model, records, **options
-        As for :func:`physid.fit`.
+        As for :func:`physid.fit`; ``limits`` (actuator or joint to lowest and highest value) and
+        ``duration`` [s] bound the next experiment.
     evidence : sequence of mapping
         Results of :func:`physid.monitor` (``as_dict()``), or of a fit by LMI: the effects they speak for
         are tried too, from the values found there.
 
     Returns
     -------
-    Result
-        Schema ``physid.diagnosis/1``.
+    Diagnosed
+        Schema ``physid.diagnosis/1``; ``.next_record`` is the next experiment's input record, if one is
+        proposed.
     """
     settings = Options(**options)
     loaded = as_model(model)
+    check_limits(loaded, settings.limits)
     leads = read_leads(loaded, evidence)
     study = prepare(loaded, records, settings)
+    check_duration(study)
     found = diagnose_study(study, span=(0.3, 0.85), leads=leads)
     settings.report("finding where the model fails", 0.85)
     base = _base_fit(study, found)
     best = _best_fit(study, found) if found.candidates else None
     lack = lack_of(base, best)
-    return Result(
-        data=diagnosis_data(study, found, base, lack),
-        curves=diagnosis_curves(base, best, lack),
+    settings.report("planning the next experiment", 0.95)
+    planned = next_experiment(study, found)
+    return Diagnosed(
+        data=diagnosis_data(study, found, base, lack, planned),
+        curves=diagnosis_curves(base, best, lack) | planned.curves,
         model=base.model,
+        next_record=planned.record,
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Diagnosed(Result):
+    """A diagnosis; ``next_record`` holds the inputs of the next experiment, None where none is proposed."""
+
+    next_record: Record | None = None
 
 
 def _base_fit(study: Study, found: Diagnosis) -> Fitted:
@@ -115,7 +132,9 @@ def _best_fit(study: Study, found: Diagnosis) -> Fitted | None:
     return fit_study(with_effects(study, found.candidates[0]), from_windows=False)
 
 
-def diagnosis_data(study: Study, found: Diagnosis, base: Fitted, lack: Lack) -> dict[str, Any]:
+def diagnosis_data(
+    study: Study, found: Diagnosis, base: Fitted, lack: Lack, planned: Next
+) -> dict[str, Any]:
     """Return the contract's JSON object of a diagnosis."""
     rows = channel_rows(base.problem, base.estimate)
     return {
@@ -127,7 +146,7 @@ def diagnosis_data(study: Study, found: Diagnosis, base: Fitted, lack: Lack) -> 
         "where": where(base.problem, base.estimate, list(lack.forces)),
         "parameters": parameters_of(base),
         "candidates": candidate_rows(study, found),
-        "next_experiment": None,
+        "next_experiment": planned.data,
         "tried": found.tried,
         "notes": [*study.notes, *base.notes, *found.notes],
         "simulation": simulation_row(base.problem, base.integration_error, base.confirmed),
