@@ -40,6 +40,7 @@ from physid.criticism.localisation import where
 from physid.criticism.next_experiment import Next, check_duration, next_experiment
 from physid.criticism.pictures import diagnosis_curves, tested_curves
 from physid.criticism.refit import start_of, with_candidate
+from physid.criticism.symptoms import symptoms_of
 from physid.effects.catalogue import load_model_text
 from physid.errors import NumericsError
 from physid.identification.accuracy import for_engine, with_substeps
@@ -98,7 +99,7 @@ def diagnose(
     settings.report("planning the next experiment", 0.95)
     planned = next_experiment(study, found)
     return Diagnosed(
-        data=diagnosis_data(study, found, base, lack, planned),
+        data=diagnosis_data(study, found, (base, best), lack, planned),
         curves=diagnosis_curves(base, best, lack) | planned.curves,
         model=base.model,
         next_record=planned.record,
@@ -133,10 +134,16 @@ def _best_fit(study: Study, found: Diagnosis) -> Fitted | None:
 
 
 def diagnosis_data(
-    study: Study, found: Diagnosis, base: Fitted, lack: Lack, planned: Next
+    study: Study,
+    found: Diagnosis,
+    fits: tuple[Fitted, Fitted | None],
+    lack: Lack,
+    planned: Next,
 ) -> dict[str, Any]:
-    """Return the contract's JSON object of a diagnosis."""
+    """Return the contract's JSON object of a diagnosis; ``fits`` are without and with what it names."""
+    base, best = fits
     rows = channel_rows(base.problem, base.estimate)
+    named = found.candidates[0].refit.sites() if best is not None else ()
     return {
         "schema": "physid.diagnosis/1",
         "verdict": found.verdict,
@@ -146,6 +153,7 @@ def diagnosis_data(
         "where": where(base.problem, base.estimate, list(lack.forces)),
         "parameters": parameters_of(base),
         "candidates": candidate_rows(study, found),
+        "symptoms": symptoms_of(base, best, named),
         "next_experiment": planned.data,
         "tried": found.tried,
         "notes": [*study.notes, *base.notes, *found.notes],
