@@ -1,8 +1,11 @@
 """Learning: the published rule, all information, what stops it, and what is known before flying."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from physid.effects.catalogue import load_model
 from physid.errors import DivergedError, InputError
 from physid.learning import (
     Averaging,
@@ -16,8 +19,10 @@ from physid.learning import (
     identifiable,
     indistinct,
     learn,
+    parametric_plant,
     propose,
 )
+from physid.rigs import rig_path
 
 from .rigs import CASE3, INERTIAS, aircraft, flown, inertias, named
 
@@ -109,6 +114,33 @@ def test_parameters_that_act_alike_are_named():
     kept = identifiable(setup, setup.plant.start, KNOWN, experiments=10**6)
     assert 0 < len(kept) < 7
     assert indistinct(inertias(), inertias().plant.start) == ()
+
+
+def test_a_command_is_never_larger_than_the_first():
+    setup, truth = aircraft()
+    first = setup.command(setup.plant.start, np.full(1, np.inf))
+    wild = setup.command(50.0 * truth, np.full(1, np.inf))
+    fitted = wild.within(first)
+    assert np.abs(fitted.feedforward).max() == pytest.approx(np.abs(first.feedforward).max())
+    factor = fitted.feedforward[500] / wild.feedforward[500]
+    np.testing.assert_allclose(fitted.reference, factor * wild.reference)
+    assert first.within(wild) is first
+
+
+@pytest.mark.parametrize(("start", "noise"), [(5, 0), (2, 2)])
+def test_two_inertias_are_learned_from_ten_experiments(start, noise):
+    """The second model asks for a million times the input; from the other start the last fit misses too."""
+    rng, truth = np.random.default_rng(start), inertias().plant.start
+    values = truth * rng.uniform(0.6, 1.6, len(truth))
+    begun = load_model(rig_path("two_inertia")).with_values(
+        dict(zip(INERTIAS, map(float, values), strict=True))
+    )
+    setup = replace(inertias(), plant=parametric_plant(begun, INERTIAS))
+    setup = replace(setup, reference=propose(setup, setup.plant.start, KNOWN, rng).reference)
+    rule = InformationWeighted(learning=3, sensors=KNOWN)
+    found = learn(setup, flown(setup, truth, seed=noise), rule=rule, experiments=10)
+    assert not found.stopped
+    assert np.abs((found.estimate.eta - truth) / found.estimate.std_error).max() < 5
 
 
 def test_repetitions():
