@@ -120,11 +120,21 @@ def _candidates(result: Result, curves: Curves) -> Section | None:
     blocks = [
         Block(pictures=drawn),
         Block(table=tables.candidates(found)),
+        _symptoms(result),
         *plan_blocks(result, curves),
     ]
     lead = "Each was refitted with all other parameters free, the most promising first. Errors and p-values come "
     lead += "from data that took no part in the choice; p is corrected for all candidates tried."
     return section("candidates", "Candidates and their evidence", lead, blocks)
+
+
+def _symptoms(result: Result) -> Block:
+    """Return what the model's own estimates show."""
+    sentences = [text(s.get("sentence")) for s in mappings(result.get("symptoms"))]
+    return Block(
+        heading="What the model's own parameters show" if sentences else "",
+        text=" ".join(sentences),
+    )
 
 
 def _interval_picture(entries: object) -> tuple[Picture, ...]:
