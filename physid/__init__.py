@@ -17,6 +17,7 @@ _HOMES = {
     "diagnose": "physid.criticism.refinement",
     "fit": "physid.criticism.comparison",
     "learn": "physid.learning.learning",
+    "load_effects": "physid.effects.catalogue",
     "load_model": "physid.effects.catalogue",
     "load_record": "physid.record",
     "monitor": "physid.monitoring.study",
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from physid.criticism.refinement import diagnose as diagnose
     from physid.criticism.refinement import refine as refine
     from physid.criticism.simulating import simulate as simulate
+    from physid.effects.catalogue import load_effects as load_effects
     from physid.effects.catalogue import load_model as load_model
     from physid.learning.learning import learn as learn
     from physid.monitoring.study import monitor as monitor

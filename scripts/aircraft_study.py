@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import warnings
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 from physid_envs import EnvironmentExperiment
+from prior_study import Figures
 
 from physid.effects.catalogue import load_model
 from physid.learning import (
@@ -151,17 +155,45 @@ def environment(study: Case, seed: int, ratio: float = RATIO) -> EnvironmentExpe
     )
 
 
-def errors(
-    study: Case, rule: Rule, seeds: int, rng: np.random.Generator, experiments: int = EXPERIMENTS
-) -> np.ndarray:
-    """Return the errors [%] of learnings with fresh noise, (seeds, p)."""
-    found = [
-        study.percent(
-            learn(study.setup, experiment(study, child), rule=rule, experiments=experiments)
-        )
-        for child in rng.spawn(seeds)
-    ]
-    return np.array(found)
+def error(study: Case, rule: Rule, experiments: int, rng: np.random.Generator) -> np.ndarray:
+    """Return the errors [%] of one learning with fresh noise, (p,)."""
+    warnings.simplefilter("ignore")
+    flown = experiment(study, rng)
+    return study.percent(learn(study.setup, flown, rule=rule, experiments=experiments))
+
+
+@dataclass(kw_only=True)
+class Run:
+    """One run of the script: its figures, its noise, and who computes.
+
+    Parameters
+    ----------
+    figures : Figures
+    seed : int
+    seeds : int
+        Learnings per statistic.
+    few : int
+        ... where one takes seconds.
+    spread : callable
+        As ``map``; that of a pool of processes if there is one.
+    """
+
+    figures: Figures
+    seed: int
+    seeds: int
+    few: int
+    spread: Callable[..., Iterable[Any]] = map
+    rng: np.random.Generator = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.rng = np.random.default_rng(self.seed)
+
+    def errors(
+        self, study: Case, rule: Rule, seeds: int, experiments: int = EXPERIMENTS
+    ) -> np.ndarray:
+        """Return the errors [%] of learnings with fresh noise, (seeds, p), whoever computes them."""
+        one = partial(error, study, rule, experiments)
+        return np.array(list(self.spread(one, self.rng.spawn(seeds))))
 
 
 def rms(values: np.ndarray) -> np.ndarray:

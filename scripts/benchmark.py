@@ -9,7 +9,7 @@ timed apart, and the ratio with it is in the table.
     python scripts/benchmark.py --json
     python scripts/benchmark.py --small --out benchmark
 
-Accuracy before and after a change is the business of scripts/hidden_effect_bank.py.
+Accuracy before and after a change is the business of scripts/hidden_effects.py.
 """
 
 from __future__ import annotations

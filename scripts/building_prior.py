@@ -16,6 +16,7 @@ import json
 import os
 import sys
 import time
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -29,7 +30,7 @@ import typer  # noqa: E402
 from prior_study import Figures  # noqa: E402
 
 from physid.effects.catalogue import load_model  # noqa: E402
-from physid.identification.whitening import Noise, cramer_rao, minimise  # noqa: E402
+from physid.identification.whitening import Noise, cramer_rao  # noqa: E402
 from physid.monitoring.baseline import Window  # noqa: E402
 from physid.monitoring.changes import weigh  # noqa: E402
 from physid.monitoring.design import choose  # noqa: E402
@@ -37,7 +38,7 @@ from physid.monitoring.doubt import output_doubt  # noqa: E402
 from physid.monitoring.estimate import estimate, instrument, simulate  # noqa: E402
 from physid.monitoring.factors import factors, numerators  # noqa: E402
 from physid.monitoring.lft import Pulled, pull_out  # noqa: E402
-from physid.monitoring.prior import identify  # noqa: E402
+from physid.monitoring.prior import identify, identify_together  # noqa: E402
 from physid.monitoring.shape import Shape  # noqa: E402
 from physid.monitoring.trial import Runs, stepped_run, white_runs  # noqa: E402
 from physid.rigs import rig_path  # noqa: E402
@@ -46,6 +47,8 @@ DT, RATIO, TRUE, BELIEVED, SAMPLES = 1e-4, 0.01, 2600.0, 2340.0, 10000
 STOREYS = tuple(f"storey{k}.stiffness" for k in range(1, 5))
 FLOOR = ("floor4_position",)
 CUTOFFS = (3.0, 8.0, 13.2, 20.0, 30.0)
+BATCH = 50
+"""Runs held at once."""
 DOUBTED = 5.0
 """Standard deviations of a Gaussian from which an estimate is disowned."""
 ALARM = 0.005
@@ -92,11 +95,8 @@ def fig_9(figures: Figures, runs: int, rng: np.random.Generator) -> list[dict[st
     ]
     figures.add("k3_mean_percent_at_13.2", rows[CUTOFFS.index(13.2)]["mean"], "in", [-0.5, 0.5])
     by = {(row["order"], row["cutoff"]): row for row in rows}
-    spread, predicted = independent(pulled, found, 3 * runs, rng)
-    figures.add("k3_std_percent_at_13.2", spread, "in", [0.45, 0.70])
     figures.add("k3_mean_percent_at_30_plain", by[3, 30.0]["mean"], "in", [8.0, 16.0])
     figures.add("k3_abs_mean_percent_at_30_instrument", abs(by[3, 30.0]["mean_iv"]), "<=", 0.3)
-    figures.add("k3_predicted_std_error_off_at_13.2", abs(predicted / spread - 1), "<=", 0.25)
     made = factors(found, Shape(cutoff=13.2, order=3), DT)
     engine = engine_run(data.u[0, :, 0])[None]
     off = abs(percent(estimate(made, engine, data.u[:1]).delta)[0])
@@ -108,30 +108,78 @@ def fig_9(figures: Figures, runs: int, rng: np.random.Generator) -> list[dict[st
         for u, s in zip(data.u[:3], data.sigma, strict=False)
     ]
     print(f"chosen: {[(c.factors.shape, c.instrument) for c in picked]}", file=sys.stderr)
-    helper = instrument(pulled, made, 0, data.u)
-    begin = estimate(made, data.y[:, :, 0], data.u, instrument=helper).delta + BELIEVED
-    output_error(figures, data, begin)
     return rows
 
 
-def independent(
-    pulled: Pulled, found: Any, runs: int, rng: np.random.Generator
-) -> tuple[float, float]:
-    """Return the spread at 1/T = 13.2 and the one predicted, in percent, over many inputs.
+def spreads(figures: Figures, runs: int, rng: np.random.Generator) -> None:
+    """Measure spreads over many inputs: KU's, output error's of k3 alone, and of k1..k4 together.
 
-    In one second the slowest mode turns twice: what a run shows differs much from input to input, so
-    that a spread needs many.
+    In one second the slowest mode turns twice: the bound differs 20-fold from input to input, and few
+    inputs make most of a root mean square.  Of 100 inputs 38 count, so that even an estimate that reaches
+    the bound exceeds it 1.3 times, for the worst of four storeys, in one of 50 draws; of 600 in none.
+    KU's spread, 0.644 % over 12 000 inputs, is taken of four times as many: of 600, one draw in 45 is above 0.7.
     """
-    made = factors(found, Shape(cutoff=13.2, order=3), DT)
+    pulled, together = rig(STOREYS[2:3], BELIEVED), rig(STOREYS)
+    made = factors(numerators(pulled, 0, 0), Shape(cutoff=13.2, order=3), DT)
     errors, variances = [], []
-    for _ in range(max(runs // 50, 1)):
+    alone, storeys = Fits(), Fits()
+    for k in range(-(-4 * runs // BATCH)):
         data = white_runs(
-            pulled, np.array([TRUE]), runs=100, samples=SAMPLES, dt=DT, ratio=RATIO, rng=rng
-        )
-        one = estimate(made, data.y[:50, :, 0], data.u[:50])  # one of every pair of signs
+            pulled, np.array([TRUE]), runs=BATCH, samples=SAMPLES, dt=DT, ratio=RATIO, rng=rng,
+            paired=False,
+        )  # fmt: skip
+        one = estimate(made, data.y[:, :, 0], data.u)
         errors.append(percent(one.delta))
         variances.append((100 * one.std_error / TRUE) ** 2)
-    return float(np.std(np.concatenate(errors))), float(np.sqrt(np.mean(variances)))
+        if k * BATCH >= runs:
+            continue
+        helper = instrument(pulled, made, 0, data.u)
+        begin = estimate(made, data.y[:, :, 0], data.u, instrument=helper).delta + BELIEVED
+        output_error(alone, pulled, begin[:, None], data)
+        output_error(storeys, together, TRUE * (1 + 0.1 * rng.uniform(-1, 1, (BATCH, 4))), data)
+    spread = float(np.std(np.concatenate(errors)))
+    predicted = float(np.sqrt(np.mean(np.concatenate(variances))))
+    figures.add("k3_std_percent_at_13.2", spread, "in", [0.45, 0.70])
+    figures.add("k3_predicted_std_error_off_at_13.2", abs(predicted / spread - 1), "<=", 0.25)
+    figures.add("k3_output_error_std_percent", alone.told(pulled.names)[0][0], "<=", 0.22)
+    std, bound = storeys.told(together.names)
+    figures.add("k1_to_k4_jointly_worst_std_over_crb", (std / bound).max(), "<=", 1.3)
+
+
+@dataclass
+class Fits:
+    """Output error's estimates and the Cramer-Rao bounds of many runs, each (runs, p)."""
+
+    values: list[np.ndarray] = field(default_factory=list)
+    bounds: list[np.ndarray] = field(default_factory=list)
+
+    def told(self, names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the standard deviations and root mean square bounds (p,) in percent, and print them."""
+        std = 100 * np.std(self.values, axis=0) / TRUE
+        bound = 100 * np.sqrt(np.mean(np.square(self.bounds), axis=0)) / TRUE
+        worst = 100 * np.abs(np.array(self.values) / TRUE - 1).max()
+        counts = np.mean(np.square(self.bounds), axis=0) ** 2 / np.mean(
+            np.power(self.bounds, 4), axis=0
+        )
+        print(
+            f"output error {names}: std {std}, CRB {bound}, worst {worst:.2f} %, of {len(self.values)} "
+            f"runs {len(self.values) * counts.min():.0f} count",
+            file=sys.stderr,
+        )
+        return std, bound
+
+
+def output_error(fits: Fits, pulled: Pulled, begin: np.ndarray, data: Runs) -> None:
+    """Fit the stiffnesses of every run by output error from a start of its own (runs, p)."""
+    for start, u, y, sigma in zip(begin, data.u, data.y, data.sigma, strict=True):
+        window = Window(u=u, y=y, sigma=sigma, dt=DT, at_rest=True)
+        fits.values.append(identify_together(replace(pulled, nominal=start), window).values)
+
+        def simulation(theta: np.ndarray, u: np.ndarray = u) -> np.ndarray:
+            return simulate(pulled, theta, u[None], DT)[0]
+
+        noise = Noise(sigma=sigma, rho=np.zeros(1))
+        fits.bounds.append(cramer_rao(simulation, np.full(len(start), TRUE), noise))
 
 
 def swept(pulled: Pulled, found: Any, data: Runs, shape: Shape) -> dict[str, float]:
@@ -151,35 +199,6 @@ def swept(pulled: Pulled, found: Any, data: Runs, shape: Shape) -> dict[str, flo
         "std_iv": float(percent(helped.delta).std()),
         "predicted_std_iv": float(100 * np.sqrt(np.mean(helped.std_error**2)) / TRUE),
     }
-
-
-def output_error(figures: Figures, data: Runs, begin: np.ndarray) -> None:
-    """Fit k3 alone and k1..k4 together by output error, from KU's estimates (runs,) of k3."""
-    for names in (("storey3.stiffness",), STOREYS):
-        pulled = rig(names)
-        truth = np.full(len(names), TRUE)
-        found, bounds = [], []
-        for u, y, sigma, k3 in zip(data.u, data.y, data.sigma, begin, strict=True):
-            start = truth.copy()
-            start[names.index("storey3.stiffness")] = k3
-
-            def simulation(
-                theta: np.ndarray, u: np.ndarray = u, pulled: Pulled = pulled
-            ) -> np.ndarray:
-                return simulate(pulled, theta, u[None], DT)[0]
-
-            noise = Noise(sigma=sigma, rho=np.zeros(1))
-            found.append(minimise(simulation, y, start, noise)[0])
-            bounds.append(cramer_rao(simulation, truth, noise))
-        std = 100 * np.std(found, axis=0) / TRUE
-        bound = 100 * np.sqrt(np.mean(np.square(bounds), axis=0)) / TRUE
-        worst = 100 * np.abs(np.array(found) / truth - 1).max()
-        line = f"output error {names}: std {std}, CRB {bound}, worst {worst:.2f} %"
-        print(line, file=sys.stderr)
-        if len(names) == 1:
-            figures.add("k3_output_error_std_percent", std[0], "<=", 0.22)
-        else:
-            figures.add("k1_to_k4_jointly_worst_std_over_crb", (std / bound).max(), "<=", 1.3)
 
 
 def which(figures: Figures, trials: int, rng: np.random.Generator) -> None:
@@ -230,8 +249,9 @@ def other_rigs(figures: Figures, runs: int, rng: np.random.Generator) -> None:
     shaft = load_model(rig_path("two_inertia")).with_values({"shaft.stiffness": 18.0})
     pulled = pull_out(shaft, ["shaft.stiffness"], ["drive_angle"])
     data = white_runs(
-        pulled, np.array([20.0]), runs=runs, samples=5000, dt=1e-3, ratio=RATIO, rng=rng
-    )
+        pulled, np.array([20.0]), runs=runs, samples=5000, dt=1e-3, ratio=RATIO, rng=rng,
+        paired=False,
+    )  # fmt: skip
     chosen(figures, "shaft", pulled, data, 1e-3, 20.0)
     driver = load_model(rig_path("seated_driver")).with_values({"spine.stiffness": 164700.0})
     pulled = pull_out(driver, ["spine.stiffness"], ["torso_position"])
@@ -287,9 +307,10 @@ def main(
 ) -> None:
     """Measure every figure and print it beside its bound."""
     seed = time.time_ns() % 2**32 if seed is None else seed
-    rngs = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4)]
+    rngs = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(5)]
     begin, figures = time.perf_counter(), Figures()
     rows = fig_9(figures, 20 if small else 200, rngs[0])
+    spreads(figures, 50 if small else 600, rngs[4])
     which(figures, 48 if small else 400, rngs[1])
     lone(figures, 4 if small else 100, rngs[2])
     other_rigs(figures, 4 if small else 100, rngs[3])

@@ -29,7 +29,8 @@ list in the terminal.
 
 `physid diagnose` and `physid refine` try all of them, wherever they can sit in the model. Some are the
 same by another name in some records (an input's offset is a constant load on what a motor drives, a
-late sensor on a rig with one a late input); the answer then names all that fit alike.
+late sensor on a rig with one a late input); the answer then names all that fit alike. What is
+not in this list you can write yourself: [your own effects](own_effects.md).
 
 An effect with a memory (a hysteresis, a mass on a spring, a lagging reading) has states of its own.
 They are estimated beside the initial positions and speeds. Where a sensor is late, the initial state

@@ -120,7 +120,9 @@ def curves(shown: Shown) -> tuple[str, str, list[tuple[str, np.ndarray, np.ndarr
     if shown.added.startswith("stiffness_change"):
         (element,) = plants[0].elements
         z, v = (x[:, k : k + nv] @ element.row for k in (0, nv))
-        force = evaluate(changed_spring, z, v, time, element.constants)[:, None] * element.row
+        force = (
+            evaluate(changed_spring.address, z, v, time, element.constants)[:, None] * element.row
+        )
     if shown.against.startswith("input"):
         gear = plants[1].model.actuator_gear[0, 0]
         found = acting[:, 0] + force[:, 0] / gear

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +14,8 @@ from speed_problems import Rig, Run
 import physid
 from physid.effects.catalogue import load_model
 from physid.identification.fitting import confirmed, estimated
+from physid.identification.problem import residuals_of
+from physid.identification.staged import on_whole_records
 from physid.identification.study import Options, prepare
 from physid.identification.uncertainty import uncertainty_of
 from physid.plant.model import Model
@@ -86,6 +89,15 @@ def own_fit(rig: Rig, run: Run, start: dict[str, float], *, jobs: int = 1) -> Ow
         closing=max(closed - fitted - again, 0.0),
         confirmed=result.confirmed and not result.notes,
     )
+
+
+def own_runs(rig: Rig, run: Run, jobs: int, count: int = 25) -> Callable[[], object]:
+    """Return what simulates a record's whole length some times, at slightly different parameters."""
+    study = prepare(loaded(rig, rig.truth), [as_record(rig, run)], options(rig, rig.truth, jobs))
+    problem = on_whole_records(study.problem)
+    states, theta = problem.states(), problem.start()
+    thetas = [(1.0 + 1e-4 * k) * theta for k in range(count)]
+    return lambda: residuals_of(problem, thetas, [states] * count)
 
 
 def _chi2(sigma: object, run: Run, squares: float) -> float:

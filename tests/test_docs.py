@@ -18,6 +18,8 @@ DOCUMENTS = [
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",
     ROOT / "docs" / "effects.md",
+    ROOT / "docs" / "own_effects.md",
+    ROOT / "docs" / "hidden_effects.md",
     ROOT / "docs" / "environments.md",
     ROOT / "docs" / "lmi.md",
     ROOT / "docs" / "tuning.md",

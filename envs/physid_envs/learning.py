@@ -34,7 +34,8 @@ class EnvironmentExperiment:
         Of the first reset; the following resets count up, so that each has fresh noise.
     ratio : float, optional
         Add noise of this size to what the sensors read, relative to the rms of each output in a flight
-        without it. The controller feels it. The environment must have no noise of its own.
+        without it, which is made once for a command that is repeated. The controller feels it. The
+        environment must have no noise of its own.
 
     Raises
     ------
@@ -69,6 +70,7 @@ class EnvironmentExperiment:
         self._outputs, self._columns = outputs, [names.index(name) for name in outputs]
         self._input, self._inputs = bench.inputs.index(driven), len(bench.inputs)
         self._controller, self._seed, self._ratio = controller, seed, ratio
+        self._quiet: tuple[bytes, Array] | None = None
 
     def __call__(self, command: Command) -> Flight:
         """Fly once; stop where an output leaves the limits or the simulation diverges.
@@ -85,13 +87,18 @@ class EnvironmentExperiment:
             )
         noise = np.zeros(command.reference.shape)
         if self._ratio:
-            still = self._fly(command, noise)
-            rms = np.sqrt(np.mean(still.outputs**2, axis=0))
             rng = np.random.default_rng(self._seed)
-            noise = self._ratio * rms * rng.standard_normal(command.reference.shape)
+            noise = self._ratio * self._size(command) * rng.standard_normal(command.reference.shape)
         flight = self._fly(command, noise)
         self._seed += 1
         return flight
+
+    def _size(self, command: Command) -> Array:
+        """Return the rms (ny,) of a flight without noise."""
+        if self._quiet is None or self._quiet[0] != command.key:
+            still = self._fly(command, np.zeros(command.reference.shape))
+            self._quiet = command.key, np.sqrt(np.mean(still.outputs**2, axis=0))
+        return self._quiet[1]
 
     def _fly(self, command: Command, noise: Array) -> Flight:
         seen, _ = self._recorder.reset(seed=self._seed)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 from physid.cli.delivery import deliver, working
 from physid.cli.ending import OK
-from physid.cli.options import Output, grouped
+from physid.cli.options import EFFECTS, Output, grouped
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -31,12 +32,12 @@ class Catalogue:
 
 
 @grouped
-def effects(output: Output) -> int:
+def effects(output: Output, own: Annotated[list[Path] | None, EFFECTS] = None) -> int:
     """List the effects: laws, places, parameters, units, sources."""
-    from physid.effects.catalogue import CATALOGUE, describe
+    from physid.effects.catalogue import CATALOGUE, describe, load_effects
 
     with working(output):
-        known = [describe(effect) for effect in CATALOGUE]
+        known = [describe(effect) for effect in (*CATALOGUE, *load_effects(*own or ()))]
     deliver(Catalogue(known), output, printer=print_effects)
     return OK
 

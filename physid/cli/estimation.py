@@ -52,10 +52,10 @@ def fit(
             from physid.criticism.equations import fit_equations
 
             result = fit_equations(
-                study.model, study.records, varying=varying or (), **options, **run
+                study.source(), study.records, varying=varying or (), **options, **run
             )
         else:
-            result = physid.fit(study.model, study.records, **options, **run)
+            result = physid.fit(study.source(), study.records, **options, **run)
     deliver(result, output)
     return OK
 
@@ -76,7 +76,9 @@ def check(
     options = study.keywords(default_fit="auto")
     tolerance = parse_within(within)
     with working(output) as run:
-        result = physid.check(study.model, study.records, truth, within=tolerance, **options, **run)
+        result = physid.check(
+            study.source(), study.records, truth, within=tolerance, **options, **run
+        )
     deliver(result, output)
     return OK if result.as_dict()["holds"] else REFUTED
 

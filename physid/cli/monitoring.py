@@ -10,7 +10,7 @@ import typer
 import physid
 from physid.cli.delivery import deliver, working
 from physid.cli.ending import OK
-from physid.cli.options import MAP, MODEL, Output, grouped
+from physid.cli.options import EFFECTS, MAP, MODEL, Output, grouped, model_with
 from physid.cli.parsing import parse_map, parse_names
 
 
@@ -46,6 +46,7 @@ def monitor(
     alarm: Annotated[
         float, typer.Option("--alarm", help="Chance of a false alarm per record.")
     ] = 0.005,
+    effects: Annotated[list[Path] | None, EFFECTS] = None,
     rename: Annotated[list[str] | None, MAP] = None,
 ) -> int:
     """Say whether a watched parameter changed, which one, when, and by how much."""
@@ -63,7 +64,7 @@ def monitor(
         "rename": parse_map(rename or ()),
     }
     with working(output) as run:
-        result = physid.monitor(model, record, **options, **run)
+        result = physid.monitor(model_with(model, effects), record, **options, **run)
     deliver(result, output)
     return OK
 

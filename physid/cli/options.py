@@ -11,17 +11,25 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
 from physid.cli.parsing import Bounds, Prior, parse_bounds, parse_fit, parse_map, parse_priors
 from physid.errors import InputError
 
+if TYPE_CHECKING:
+    from physid.plant.model import Model
+
 ADD = typer.Option(
     "--add",
     metavar="EFFECT@LOCATION[:PARAMETER=VALUE,...]",
     help="Add an effect by hand; parameters without a value are fitted. Repeatable.",
+)
+EFFECTS = typer.Option(
+    "--effects",
+    metavar="FILE",
+    help="Your own effects: a .py, which is run as any script is, or a .toml with MJCF. Repeatable.",
 )
 HOLD = typer.Option(
     "--hold",
@@ -83,8 +91,13 @@ class Study:
         ),
     ] = None
     add: Annotated[list[str] | None, ADD] = None
+    effects: Annotated[list[Path] | None, EFFECTS] = None
     hold: Annotated[str | None, HOLD] = None
     rename: Annotated[list[str] | None, MAP] = None
+
+    def source(self) -> Model | Path:
+        """Return the model as :func:`model_with` does."""
+        return model_with(self.model, self.effects)
 
     def keywords(self, *, default_fit: str | None) -> dict[str, Any]:
         """Return the keyword options of the Python API.
@@ -109,6 +122,21 @@ class Study:
             "hold": checked_hold(self.hold),
             "rename": parse_map(self.rename or ()),
         }
+
+
+def model_with(model: Path, effects: Sequence[Path] | None) -> Model | Path:
+    """Return a model that knows the user's own effects; its path alone where there are none.
+
+    Raises
+    ------
+    InputError
+        If a file of effects, or the model, cannot be read.
+    """
+    if not effects:
+        return model
+    import physid
+
+    return physid.load_model(model, physid.load_effects(*effects))
 
 
 def checked_hold(hold: str | None) -> str | None:

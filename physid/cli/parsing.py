@@ -43,6 +43,17 @@ def parse_bounds(texts: Iterable[str]) -> dict[str, Bounds]:
     return _collect(texts, "--bounds", "NAME=LOW:HIGH", _bounds)
 
 
+def parse_limits(texts: Iterable[str]) -> dict[str, Bounds]:
+    """Read ``--limit NAME=LOW:HIGH`` of an actuator or a joint.
+
+    Raises
+    ------
+    InputError
+        If a text has another form, LOW is not below HIGH, or a name stands twice.
+    """
+    return _collect(texts, "--limit", "NAME=LOW:HIGH", _bounds)
+
+
 def parse_priors(texts: Iterable[str]) -> dict[str, Prior]:
     """Read ``--prior NAME=VALUE+-STD`` (or ± for +-).
 

@@ -12,7 +12,17 @@ import typer
 import physid
 from physid.cli.delivery import deliver, working
 from physid.cli.ending import OK
-from physid.cli.options import ADD, HOLD, MAP, MODEL, Output, checked_hold, grouped
+from physid.cli.options import (
+    ADD,
+    EFFECTS,
+    HOLD,
+    MAP,
+    MODEL,
+    Output,
+    checked_hold,
+    grouped,
+    model_with,
+)
 from physid.cli.parsing import parse_map
 from physid.errors import InputError
 
@@ -86,6 +96,7 @@ def simulate(
         ),
     ] = None,
     add: Annotated[list[str] | None, ADD] = None,
+    effects: Annotated[list[Path] | None, EFFECTS] = None,
     hold: Annotated[str | None, HOLD] = None,
     rename: Annotated[list[str] | None, MAP] = None,
     timestep: Annotated[
@@ -109,7 +120,7 @@ def simulate(
 
     with working(output):
         run = physid.simulate(
-            model,
+            model_with(model, effects),
             record,
             excite=excite,
             add=tuple(add or ()),

@@ -10,7 +10,7 @@ import typer
 import physid
 from physid.cli.delivery import deliver, working
 from physid.cli.ending import OK
-from physid.cli.options import MAP, MODEL, Output, grouped
+from physid.cli.options import EFFECTS, MAP, MODEL, Output, grouped, model_with
 from physid.cli.parsing import parse_gain, parse_map, parse_names
 
 
@@ -68,6 +68,7 @@ def tune(
         str | None,
         typer.Option("--observe", metavar="SENSOR,...", help="Sensors of an observer in the loop."),
     ] = None,
+    effects: Annotated[list[Path] | None, EFFECTS] = None,
     rename: Annotated[list[str] | None, MAP] = None,
 ) -> int:
     """Tune a state-feedback gain from a record of its loop, and certify that it is stable."""
@@ -86,7 +87,7 @@ def tune(
         "rename": parse_map(rename or ()),
     }
     with working(output) as run:
-        result = physid.tune(model, records, **options, **run)
+        result = physid.tune(model_with(model, effects), records, **options, **run)
     deliver(result, output)
     return OK
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
+from physid.criticism.account import effect_row, finite
 from physid.criticism.evidence import Bench, Judgement, benches, judge
+from physid.criticism.leads import Lead, lead_notes, possible_leads, sites_of
 from physid.criticism.merit import LEAST_GAIN, NOISE_LIKE, explained, score
 from physid.criticism.refit import (
     Base,
@@ -30,6 +32,9 @@ NAMED_BESIDE = 0.3
 """... where the model was refined before and only details can be left."""
 TOLD_APART = 10.0
 """Difference of the information criterion below which two candidates are not told apart."""
+
+PROPER = ("coulomb", "stribeck")
+"""Words of effects that are the names of people."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,7 +70,11 @@ class Diagnosis:
 
 
 def diagnose_study(
-    study: Study, *, span: tuple[float, float] = (0.3, 0.95), named: float = NAMED
+    study: Study,
+    *,
+    span: tuple[float, float] = (0.3, 0.95),
+    named: float = NAMED,
+    leads: Sequence[Lead] = (),
 ) -> Diagnosis:
     """Find what is missing in a study's model.
 
@@ -77,6 +86,8 @@ def diagnose_study(
         Share of the progress bar this takes.
     named : float
         Share of the excess error that an effect must remove to be named.
+    leads : sequence of Lead
+        What other results speak for.
 
     Returns
     -------
@@ -86,13 +97,17 @@ def diagnose_study(
     def report(stage: str, share: float) -> None:
         study.options.report(stage, span[0] + (span[1] - span[0]) * share)
 
+    possible = possible_leads(study, leads)
     report("fitting the model as it stands", 0.0)
     base = base_of(study)
     candidates = possible_candidates(study.problem)
-    fits = search(study, base, candidates, lambda stage, share: report(stage, 0.1 + 0.8 * share))
+    tried = len({*((e.name, p) for e, p in candidates), *sites_of(study.model, possible)})
+    fits = search(
+        study, base, candidates, lambda stage, share: report(stage, 0.1 + 0.8 * share), possible
+    )
     report("judging on data not used for the choice", 0.9)
     judging = benches({h: windows_of(study, h, judging_spans) for h in base.fits}, base)
-    ranked = _ranked(base, judging, fits, max(len(candidates), 1))
+    ranked = _ranked(base, judging, fits, max(tried, 1))
     verdict, sentence = _verdict(study, base, ranked, named)
     report("diagnosed", 1.0)
     long = base.fits["long"].squares / base.problems["long"].measurements()
@@ -101,9 +116,39 @@ def diagnose_study(
         sentence=sentence,
         base=base,
         candidates=tuple(ranked),
-        tried=len(candidates),
+        tried=tried,
         noise_ratio=long,
+        notes=lead_notes(study.model, leads, possible),
     )
+
+
+def candidate_rows(study: Study, found: Diagnosis) -> list[dict[str, Any]]:
+    """Return the contract's ``candidates``, best first."""
+    structure = study.model.structure
+    names = [structure.channels[k].name for k in study.experiments[0].channels]
+    rows = []
+    for candidate in found.candidates:
+        fitted = candidate.refit.problem.model
+        rows.append(
+            {
+                "effects": [effect_row(fitted, p) for p in candidate.refit.fitted],
+                "p_value": finite(candidate.p_value),
+                "nrmse_before": dict(
+                    zip(names, map(finite, candidate.judgement.before), strict=True)
+                ),
+                "nrmse_after": dict(
+                    zip(names, map(finite, candidate.judgement.after), strict=True)
+                ),
+                "indistinguishable_from": [
+                    [{"effect": e, "location": p} for e, p in found.candidates[k].refit.sites()]
+                    for k in candidate.alike
+                ],
+                "gain": finite(-candidate.score),
+                "score_rank": candidate.refit.rank,
+                "explained": finite(candidate.explained),
+            }
+        )
+    return rows
 
 
 def _ranked(
@@ -180,7 +225,18 @@ def _grows(base: Base) -> bool:
 
 def describe(fit: Refit) -> str:
     """Write a candidate as ``Coulomb friction at load``, pairs joined by ``and``."""
-    return " and ".join(f"{name.replace('_', ' ')} at {place}" for name, place in fit.sites())
+    return describe_sites(fit.sites())
+
+
+def describe_sites(sites: Sequence[tuple[str, str]]) -> str:
+    """Write effects with their places in words, joined by ``and``; empty for none."""
+    return " and ".join(f"{_in_words(name)} at {place}" for name, place in sites)
+
+
+def _in_words(name: str) -> str:
+    """Write an effect's name in words: ``Coulomb friction``."""
+    first, *rest = name.split("_")
+    return " ".join([first.capitalize() if first in PROPER else first, *rest])
 
 
 def _missing_sentence(study: Study, best: Candidate) -> str:

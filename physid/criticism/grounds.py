@@ -16,6 +16,7 @@ import numpy as np
 from physid.criticism.refit import Start, alike
 from physid.errors import NumericsError
 from physid.identification.estimate import Estimate
+from physid.identification.nearby import nearby
 from physid.identification.preselection import preselected
 from physid.identification.problem import Problem
 from physid.identification.screening import Scored, screen, shortlist
@@ -95,10 +96,12 @@ def screened(
     """Screen on several grounds and join the shortlists, alternating.
 
     What one ground proposes starts in the shapes that all of them see.  A ground near which the
-    simulation diverges is none.  Where MuJoCo simulates, the force balance chooses first.
+    simulation diverges is none.  Where every candidate would take runs of MuJoCo of its own, the force
+    balance chooses first.
     """
-    if not compiled(grounds[0][0]):
-        candidates = preselected(*grounds[0], candidates)
+    problem, fit = grounds[0]
+    if not compiled(problem) and nearby(problem, fit.theta, fit.states) is None:
+        candidates = preselected(problem, fit, candidates)
     screens = []
     for problem, fit in grounds:
         with suppress(NumericsError):

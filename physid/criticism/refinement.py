@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -26,10 +26,21 @@ from physid.criticism.comparison import (
     lack_of,
     parameters_of,
 )
-from physid.criticism.diagnosis import NAMED, NAMED_BESIDE, Candidate, Diagnosis, diagnose_study
+from physid.criticism.diagnosis import (
+    NAMED,
+    NAMED_BESIDE,
+    Candidate,
+    Diagnosis,
+    candidate_rows,
+    diagnose_study,
+)
+from physid.criticism.leads import read_leads
+from physid.criticism.limits import check_limits
 from physid.criticism.localisation import where
+from physid.criticism.next_experiment import Next, check_duration, next_experiment
 from physid.criticism.pictures import diagnosis_curves, tested_curves
 from physid.criticism.refit import start_of, with_candidate
+from physid.criticism.symptoms import symptoms_of
 from physid.effects.catalogue import load_model_text
 from physid.errors import NumericsError
 from physid.identification.accuracy import for_engine, with_substeps
@@ -42,6 +53,7 @@ from physid.identification.study import Options, Study, as_model, experiments_of
 from physid.identification.windows import whole
 from physid.plant.effect import Placed
 from physid.plant.model import Model
+from physid.record import Record
 
 EARNED = 0.8
 """Squares on the whole records must fall to this share (the error by a tenth) for an effect to stay."""
@@ -50,32 +62,55 @@ MOST_ROUNDS = 4
 
 
 def diagnose(
-    model: Model | str | os.PathLike[str], records: Sequence[object], **options: Any
-) -> Result:
+    model: Model | str | os.PathLike[str],
+    records: Sequence[object],
+    *,
+    evidence: Sequence[Mapping[str, Any]] = (),
+    **options: Any,
+) -> Diagnosed:
     """Name the physical effect a model lacks, and where, with evidence; or that none is missing.
 
     Parameters
     ----------
     model, records, **options
-        As for :func:`physid.fit`.
+        As for :func:`physid.fit`; ``limits`` (actuator or joint to lowest and highest value) and
+        ``duration`` [s] bound the next experiment.
+    evidence : sequence of mapping
+        Results of :func:`physid.monitor` (``as_dict()``), or of a fit by LMI: the effects they speak for
+        are tried too, from the values found there.
 
     Returns
     -------
-    Result
-        Schema ``physid.diagnosis/1``.
+    Diagnosed
+        Schema ``physid.diagnosis/1``; ``.next_record`` is the next experiment's input record, if one is
+        proposed.
     """
     settings = Options(**options)
-    study = prepare(model, records, settings)
-    found = diagnose_study(study, span=(0.3, 0.85))
+    loaded = as_model(model)
+    check_limits(loaded, settings.limits)
+    leads = read_leads(loaded, evidence)
+    study = prepare(loaded, records, settings)
+    check_duration(study)
+    found = diagnose_study(study, span=(0.3, 0.85), leads=leads)
     settings.report("finding where the model fails", 0.85)
     base = _base_fit(study, found)
     best = _best_fit(study, found) if found.candidates else None
     lack = lack_of(base, best)
-    return Result(
-        data=diagnosis_data(study, found, base, lack),
-        curves=diagnosis_curves(base, best, lack),
+    settings.report("planning the next experiment", 0.95)
+    planned = next_experiment(study, found)
+    return Diagnosed(
+        data=diagnosis_data(study, found, (base, best), lack, planned),
+        curves=diagnosis_curves(base, best, lack) | planned.curves,
         model=base.model,
+        next_record=planned.record,
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Diagnosed(Result):
+    """A diagnosis; ``next_record`` holds the inputs of the next experiment, None where none is proposed."""
+
+    next_record: Record | None = None
 
 
 def _base_fit(study: Study, found: Diagnosis) -> Fitted:
@@ -98,9 +133,17 @@ def _best_fit(study: Study, found: Diagnosis) -> Fitted | None:
     return fit_study(with_effects(study, found.candidates[0]), from_windows=False)
 
 
-def diagnosis_data(study: Study, found: Diagnosis, base: Fitted, lack: Lack) -> dict[str, Any]:
-    """Return the contract's JSON object of a diagnosis."""
+def diagnosis_data(
+    study: Study,
+    found: Diagnosis,
+    fits: tuple[Fitted, Fitted | None],
+    lack: Lack,
+    planned: Next,
+) -> dict[str, Any]:
+    """Return the contract's JSON object of a diagnosis; ``fits`` are without and with what it names."""
+    base, best = fits
     rows = channel_rows(base.problem, base.estimate)
+    named = found.candidates[0].refit.sites() if best is not None else ()
     return {
         "schema": "physid.diagnosis/1",
         "verdict": found.verdict,
@@ -110,40 +153,12 @@ def diagnosis_data(study: Study, found: Diagnosis, base: Fitted, lack: Lack) -> 
         "where": where(base.problem, base.estimate, list(lack.forces)),
         "parameters": parameters_of(base),
         "candidates": candidate_rows(study, found),
-        "next_experiment": None,
+        "symptoms": symptoms_of(base, best, named),
+        "next_experiment": planned.data,
         "tried": found.tried,
         "notes": [*study.notes, *base.notes, *found.notes],
         "simulation": simulation_row(base.problem, base.integration_error, base.confirmed),
     }
-
-
-def candidate_rows(study: Study, found: Diagnosis) -> list[dict[str, Any]]:
-    """Return the contract's ``candidates``, best first."""
-    structure = study.model.structure
-    names = [structure.channels[k].name for k in study.experiments[0].channels]
-    rows = []
-    for candidate in found.candidates:
-        fitted = candidate.refit.problem.model
-        rows.append(
-            {
-                "effects": [effect_row(fitted, p) for p in candidate.refit.fitted],
-                "p_value": finite(candidate.p_value),
-                "nrmse_before": dict(
-                    zip(names, map(finite, candidate.judgement.before), strict=True)
-                ),
-                "nrmse_after": dict(
-                    zip(names, map(finite, candidate.judgement.after), strict=True)
-                ),
-                "indistinguishable_from": [
-                    [{"effect": e, "location": p} for e, p in found.candidates[k].refit.sites()]
-                    for k in candidate.alike
-                ],
-                "gain": finite(-candidate.score),
-                "score_rank": candidate.refit.rank,
-                "explained": finite(candidate.explained),
-            }
-        )
-    return rows
 
 
 def with_effects(study: Study, candidate: Candidate) -> Study:
@@ -178,14 +193,15 @@ def refine(
     records: Sequence[object],
     *,
     test: Sequence[object] = (),
+    evidence: Sequence[Mapping[str, Any]] = (),
     **options: Any,
 ) -> Refinement:
     """Diagnose, add, refit, and again while something is missing.
 
     Parameters
     ----------
-    model, records, **options
-        As for :func:`physid.fit`.
+    model, records, evidence, **options
+        As for :func:`diagnose`.
     test : sequence of Record or path
         Records that decide nothing; on them every parameter is frozen and only the initial state is
         estimated.
@@ -197,6 +213,7 @@ def refine(
     """
     settings = Options(**options)
     loaded = as_model(model)
+    leads = read_leads(loaded, evidence)
     tests = experiments_of(loaded, test, settings) if test else []
     study = prepare(loaded, records, settings)
     settings.report("fitting the model as it stands", 0.25)
@@ -207,7 +224,7 @@ def refine(
         width = 0.6 / MOST_ROUNDS
         begin = 0.3 + round_number * width
         named = NAMED if first is None else NAMED_BESIDE
-        found = diagnose_study(study, span=(begin, begin + width), named=named)
+        found = diagnose_study(study, span=(begin, begin + width), named=named, leads=leads)
         first = first or found
         remaining = found.verdict
         if found.verdict != "effect_missing":

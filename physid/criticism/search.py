@@ -10,6 +10,7 @@ import numpy as np
 
 from physid.criticism.evidence import nrmse
 from physid.criticism.grounds import Group, grounds_of, screened, undistorted
+from physid.criticism.leads import Lead, led
 from physid.criticism.merit import LEAST_GAIN, NOISE_LIKE, explained, halves, noise_like, score
 from physid.criticism.refit import (
     HORIZONS,
@@ -24,7 +25,7 @@ from physid.criticism.refit import (
     without_partner,
 )
 from physid.criticism.timing import between_stretches
-from physid.effects.catalogue import CATALOGUE
+from physid.effects.catalogue import effects_of
 from physid.errors import NumericsError
 from physid.identification.linearisation import reduce
 from physid.identification.problem import Problem
@@ -69,6 +70,7 @@ def search(
     base: Base,
     candidates: Sequence[tuple[Effect, Place]],
     report: Callable[[str, float], None],
+    leads: Sequence[Lead] = (),
 ) -> list[Refit]:
     """Screen all candidates, refit the promising ones, and pair those that need a partner.
 
@@ -80,6 +82,8 @@ def search(
     candidates : sequence of (Effect, Place)
     report : callable
         Told a stage and the share of the search that is done.
+    leads : sequence of Lead
+        Refitted first, from where they stand.
 
     Returns
     -------
@@ -97,12 +101,12 @@ def search(
     if not compiled(long):
         del grounds[1:]
     groups = screened(grounds, candidates, REFITS, TRIALS)
-    # Where a partner may sit, its size is known as well.
+    # Where a lead or a partner may sit, its size is known as well.
     scales = scales_of(long, base.fits["long"]) | {g.place: g.scales for g in groups}
+    fits = led(base, leads, scales)
     rival = RIVAL if compiled(long) else RIVAL_ON_ENGINE
     limit = min(max(rival * long.measurements(), NEARLY * worst), 0.5 * worst)
     kept = windowed(study.problem, HORIZONS["long"], judging_spans)
-    fits: list[Refit] = []
     later: list[int] = []
     order = _cheapest_first(groups)
     for done, k in enumerate(order):
@@ -114,7 +118,7 @@ def search(
             continue
         # What looks like one of them is followed however its first step ends, unless
         # there is nothing to explain and all look alike.
-        twin = unexplained and any(group.is_twin(groups[f.rank]) for f in explaining)
+        twin = unexplained and any(_looks_like(group, f, groups) for f in explaining)
         near = limit if explaining and not twin else np.inf
         fits += _refitted(base, long, kept, group, k, near)
     fits = _best_with_blocks(base, _with_siblings(base, fits, scales), scales)
@@ -169,6 +173,14 @@ def _cheapest_first(groups: Sequence[Group]) -> list[int]:
     return sorted(range(len(groups)), key=turn)
 
 
+def _looks_like(group: Group, fit: Refit, groups: Sequence[Group]) -> bool:
+    """Say whether an effect screened like a fitted one; a lead may have been screened nowhere."""
+    own = fit.added[0]
+    return any(
+        group.is_twin(o) for o in groups if (o.effect.name, o.place) == (own.effect.name, own.place)
+    )
+
+
 def _contains(group: Group, fit: Refit) -> bool:
     """Say whether an effect contains a fitted one at its place: it can only be as good or better."""
     own = fit.added[0]
@@ -206,7 +218,7 @@ def _with_siblings(base: Base, fits: list[Refit], scales: dict[Place, Scales]) -
     best = min(fits, key=lambda f: score(base, f, ("short", "long")))
     inner = best.fitted[0]
     out = list(fits)
-    for effect in CATALOGUE:
+    for effect in effects_of(best.problem.model):
         values = effect.contains(inner) if inner.place.kind in effect.kinds else None
         if values is None:
             continue

@@ -13,6 +13,7 @@ import mujoco
 from physid.effects.actuation import ActuatorLag, DeadZone, InputDelay, InputOffset, Saturation
 from physid.effects.aerodynamics import Aerodynamics
 from physid.effects.elasticity import CubicStiffness, LinearStiffness
+from physid.effects.files import read_effects
 from physid.effects.friction import (
     AsymmetricFriction,
     CoulombFriction,
@@ -28,7 +29,7 @@ from physid.effects.variation import StiffnessChange, SwitchedDamping
 from physid.errors import InputError, ModelError, available
 from physid.plant.effect import Effect, Placed
 from physid.plant.loading import read_spec
-from physid.plant.model import Model
+from physid.plant.model import ORIGIN, Model
 from physid.plant.parameter import write_unit
 from physid.plant.structure import KINDS, Place, Structure, structure_of
 
@@ -79,19 +80,59 @@ UNITS = {
 """Units of force, position, speed and inertia at every kind of place."""
 
 
-def effect_named(name: str) -> Effect:
-    """Return an effect of the catalogue.
+def effects_of(model: Model) -> tuple[Effect, ...]:
+    """Return the effects that may be missing from a model: the catalogue's and the user's own."""
+    return (*CATALOGUE, *model.own)
+
+
+def load_effects(*paths: str | os.PathLike[str]) -> tuple[Effect, ...]:
+    """Read files of a user's own effects; those in Python are run, as any script is.
+
+    Parameters
+    ----------
+    *paths : path-like
+        Python files (``.py``) with classes derived from :class:`physid.effects.own.LawEffect`, or
+        pieces of MJCF (``.toml``).
+
+    Returns
+    -------
+    tuple of Effect
+        For ``load_model(path, effects=...)``.
+
+    Raises
+    ------
+    InputError
+        If a file is not what it must be, or two effects have the same name.
+    """
+    found: list[Effect] = []
+    for path in paths:
+        for effect in read_effects(path):
+            taken = next(
+                (e for e in (*CATALOGUE, *RIG_LAWS, *found) if e.name == effect.name), None
+            )
+            if taken is not None:
+                where = f"of {taken.origin}" if taken.origin else "built in"
+                raise InputError(
+                    f"The effect '{effect.name}' of {path} has the name of one that is {where}; "
+                    "give it another."
+                )
+            found.append(effect)
+    return tuple(found)
+
+
+def effect_named(name: str, own: Sequence[Effect] = ()) -> Effect:
+    """Return an effect of the catalogue, or of the user's own ones.
 
     Raises
     ------
     InputError
         If there is none of this name; the sentence lists those there are.
     """
-    for effect in CATALOGUE:
+    for effect in (*CATALOGUE, *own):
         if effect.name == name:
             return effect
     raise InputError(
-        f"Effect '{name}' is not in the catalogue. {available(e.name for e in CATALOGUE)}"
+        f"Effect '{name}' is not in the catalogue. {available(e.name for e in (*CATALOGUE, *own))}"
     )
 
 
@@ -122,12 +163,8 @@ def add_effects(model: Model, additions: Sequence[str]) -> tuple[Model, list[str
     """
     free: list[str] = []
     for text in additions:
-        placed, given = parse_addition(model.structure, text)
-        allowed = places_of(placed.effect, model.nominal, model.structure)
-        if placed.place not in allowed:
-            listed = available(model.structure.label(p) for p in allowed)
-            label = model.structure.label(placed.place)
-            raise ModelError(f"{placed.effect.name} cannot act at {label} in this model. {listed}")
+        placed, given = parse_addition(model.structure, text, model.own)
+        check_place(model, placed)
         model = model.with_effect(placed)
         free += [
             f"{model.site(placed)}.{c.name}"
@@ -137,7 +174,24 @@ def add_effects(model: Model, additions: Sequence[str]) -> tuple[Model, list[str
     return model, free
 
 
-def parse_addition(structure: Structure, text: str) -> tuple[Placed, set[str]]:
+def check_place(model: Model, placed: Placed) -> None:
+    """Check that an effect makes sense where it is placed.
+
+    Raises
+    ------
+    ModelError
+        If it does not; the sentence lists where it does.
+    """
+    allowed = places_of(placed.effect, model.nominal, model.structure)
+    if placed.place not in allowed:
+        listed = available(model.structure.label(p) for p in allowed)
+        label = model.structure.label(placed.place)
+        raise ModelError(f"{placed.effect.name} cannot act at {label} in this model. {listed}")
+
+
+def parse_addition(
+    structure: Structure, text: str, own: Sequence[Effect] = ()
+) -> tuple[Placed, set[str]]:
     """Read ``EFFECT@LOCATION[:parameter=value,...]``; say which parameters were given."""
     name, at, rest = text.partition("@")
     if not at or not rest:
@@ -145,7 +199,7 @@ def parse_addition(structure: Structure, text: str) -> tuple[Placed, set[str]]:
             f"'{text}' is not EFFECT@LOCATION[:parameter=value,...]; for example "
             "coulomb_friction@hinge:force=0.1."
         )
-    effect = effect_named(name)
+    effect = effect_named(name, own)
     location, settings = rest, ""
     if "=" in rest:
         location, _, settings = rest[: rest.rindex("=")].rpartition(":")
@@ -173,24 +227,40 @@ def _settings(effect: Effect, text: str) -> dict[str, float]:
             found[key] = float(value)
         except ValueError:
             raise InputError(f"{effect.name}: {key}={value!r} is not a number.") from None
-        if not math.isfinite(found[key]):
-            raise InputError(f"{effect.name}: {key}={value} is not a finite number.")
-        coefficient = next(c for c in effect.coefficients if c.name == key)
-        if not coefficient.lower <= found[key] <= coefficient.upper:
-            raise InputError(
-                f"{effect.name}: {key}={value} lies outside its bounds "
-                f"{coefficient.lower:g} to {coefficient.upper:g}."
-            )
+        check_value(effect, key, found[key])
     return found
 
 
-def load_model(path: str | os.PathLike[str]) -> Model:
+def check_value(effect: Effect, name: str, value: float) -> None:
+    """Check a value of an effect's parameter.
+
+    Raises
+    ------
+    InputError
+        If the effect has no such parameter, or the value is not finite or out of bounds.
+    """
+    coefficient = next((c for c in effect.coefficients if c.name == name), None)
+    if coefficient is None:
+        names = available(c.name for c in effect.coefficients)
+        raise InputError(f"{effect.name} has no parameter '{name}'. {names}")
+    if not math.isfinite(value):
+        raise InputError(f"{effect.name}: {name}={value} is not a finite number.")
+    if not coefficient.lower <= value <= coefficient.upper:
+        raise InputError(
+            f"{effect.name}: {name}={value:g} lies outside its bounds {coefficient.lower:g} to "
+            f"{coefficient.upper:g}."
+        )
+
+
+def load_model(path: str | os.PathLike[str], effects: Sequence[Effect] = ()) -> Model:
     """Load an MJCF file, run-time effects of physid included.
 
     Parameters
     ----------
     path : path-like
         MJCF file; it is never written to.
+    effects : sequence of Effect
+        The user's own ones, from :func:`load_effects`: they may be added by name, and are searched.
 
     Returns
     -------
@@ -199,10 +269,11 @@ def load_model(path: str | os.PathLike[str]) -> Model:
     Raises
     ------
     ModelError
-        If the file is missing, is not MJCF, or does not compile.
+        If the file is missing, is not MJCF, does not compile, or holds an effect of a file that was
+        not given.
     """
     spec, notes = read_spec(Path(path))
-    return _restored(spec, Path(path).name, notes)
+    return _restored(spec, Path(path).name, notes, tuple(effects))
 
 
 def load_model_text(xml: str, like: Model) -> Model:
@@ -210,17 +281,26 @@ def load_model_text(xml: str, like: Model) -> Model:
     spec = mujoco.MjSpec.from_string(xml)
     spec.assets = like.spec.assets
     spec.modelfiledir = like.spec.modelfiledir
-    return _restored(spec, like.name, ())
+    return _restored(spec, like.name, (), like.own)
 
 
-def _restored(spec: mujoco.MjSpec, name: str, notes: tuple[str, ...]) -> Model:
+def _restored(
+    spec: mujoco.MjSpec, name: str, notes: tuple[str, ...], own: tuple[Effect, ...]
+) -> Model:
     """Make a model of a specification, turning stored entries back into effects."""
+    origins = _take_origins(spec)
     stored = _take_stored(spec)
     structure = structure_of(spec.copy().compile())
-    model = Model(name=name, spec=spec, notes=notes)
+    model = Model(name=name, spec=spec, notes=notes, own=own)
     for text, data in stored:
         effect_name, _, location = text.partition("@")
-        effect = _stored_effect(effect_name)
+        if effect_name in origins and effect_name not in [e.name for e in own]:
+            file = origins[effect_name]
+            raise ModelError(
+                f"{name} holds the effect '{effect_name}' of the file {file}, which was not given: "
+                f"name it with --effects {file}, or load_model(..., effects=load_effects(...))."
+            )
+        effect = _stored_effect(effect_name, own)
         place = structure.find(location, effect.kinds)
         if len(data) != len(effect.coefficients):
             raise ModelError(
@@ -233,9 +313,19 @@ def _restored(spec: mujoco.MjSpec, name: str, notes: tuple[str, ...]) -> Model:
     return model
 
 
-def _stored_effect(name: str) -> Effect:
-    """Return an effect of the catalogue or a law that only rigs' files bring."""
-    return next((law for law in RIG_LAWS if law.name == name), None) or effect_named(name)
+def _stored_effect(name: str, own: Sequence[Effect]) -> Effect:
+    """Return an effect of the catalogue, of the user's, or a law that only rigs' files bring."""
+    return next((law for law in RIG_LAWS if law.name == name), None) or effect_named(name, own)
+
+
+def _take_origins(spec: mujoco.MjSpec) -> dict[str, str]:
+    """Take from a specification which file each of a user's own effects is from."""
+    origins = {}
+    for text in list(spec.texts):
+        if text.name.startswith(ORIGIN):
+            origins[text.name.removeprefix(ORIGIN)] = Path(text.data).name
+            spec.delete(text)
+    return origins
 
 
 def _take_stored(spec: mujoco.MjSpec) -> list[tuple[str, list[float]]]:
@@ -273,6 +363,7 @@ def describe(effect: Effect) -> dict[str, Any]:
         "source": effect.source,
         "representation": effect.representation,
         "searched": effect.searched,
+        "file": effect.origin or None,
         "description": (type(effect).__doc__ or "").split("\n\n")[0].strip(),
     }
 
@@ -282,8 +373,12 @@ __all__ = [
     "KINDS",
     "RIG_LAWS",
     "add_effects",
+    "check_place",
+    "check_value",
     "describe",
     "effect_named",
+    "effects_of",
+    "load_effects",
     "load_model",
     "places_of",
 ]

@@ -9,6 +9,14 @@ from physid.plant.memory import NO_INPUT
 from physid.plant.structure import Place
 
 
+def element_name(effect: str, place: Place) -> str:
+    """Return how elements are called that an effect adds at a place and that have parameters.
+
+    ``@`` and commas mean something else in names of parameters.
+    """
+    return f"{effect}_at_{place.name.replace(',', '_')}"
+
+
 def edit_entry(spec: mujoco.MjSpec, place: Place, attribute: str, order: int, value: float) -> None:
     """Add to one coefficient of a polynomial spring or damper.
 

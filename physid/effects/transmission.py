@@ -10,7 +10,7 @@ import numpy as np
 
 from physid.effects.elasticity import spring_coordinate, stiffness_of
 from physid.effects.friction import SMALL
-from physid.effects.native import add_passive_force
+from physid.effects.native import add_passive_force, element_name
 from physid.plant.effect import Coefficient, Effect, Element, Scales, Trial
 from physid.plant.law import force_law
 from physid.plant.parameter import element_id
@@ -148,7 +148,7 @@ class Coupling(Effect):
         return not any(k is not None and _parallel(row, k) for k in known)
 
     def edit(self, spec: mujoco.MjSpec, place: Place, values: Mapping[str, float]) -> None:
-        name = f"{self.name}@{place.name}"
+        name = element_name(self.name, place)
         while spec.tendon(name) is not None:
             name += "+"  # a refined file may be refined again
         tendon = spec.add_tendon(name=name)

@@ -18,8 +18,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import lsq_linear
 
+from physid.identification.columns import parameter_steps
 from physid.identification.experiment import Experiment, kinematics_of
-from physid.identification.linearisation import parameter_steps
 from physid.identification.problem import Problem
 from physid.plant.assembly import assemble, network_of, rates_of
 from physid.plant.callback import run_time_laws

@@ -1,4 +1,4 @@
-"""Sensitivities of a simulation by finite differences, initial states projected out window by window.
+"""A simulation linearised, initial states projected out window by window.
 
 Variable projection: Golub, Pereyra, SIAM J. Numer. Anal. 10 (1973).  The optimiser needs no column,
 only the triangular factor of all of them (QR by blocks of rows: Golub, Van Loan, Matrix Computations,
@@ -7,81 +7,24 @@ only the triangular factor of all of them (QR by blocks of rows: Golub, Van Loan
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from physid.errors import DivergedError
-from physid.identification.problem import MOST_AT_ONCE, Block, Problem, blocks_of, residuals_of
+from physid.identification.columns import (
+    STEP,
+    columns_of,
+    parameter_steps,
+    shifted,
+    state_scales,
+)
+from physid.identification.nearby import Nearby
+from physid.identification.problem import MOST_AT_ONCE, Block, Problem, residuals_of
 from physid.identification.windows import state_indices
-from physid.plant.model import Model
-from physid.plant.parameter import Parameter
 
 HIDDEN = 1e-7
 """Singular values of an initial state below this share of the largest are not estimated."""
-STEP = 1e-4
-"""Relative step of finite differences: above the kinks of friction, below the curvature."""
-
-
-def columns_of(
-    problem: Problem,
-    theta: np.ndarray,
-    states: list[np.ndarray],
-    residuals: list[np.ndarray],
-    *,
-    central: bool = False,
-) -> Iterator[tuple[Block, np.ndarray]]:
-    """Return finite-difference sensitivities of the weighted simulation, a stretch at a time.
-
-    Parameters
-    ----------
-    residuals : list of ndarray (w, samples, ny)
-        At the point itself, weighted.
-    central : bool
-        Step the parameters both ways where their bounds allow it: parameters that act alike then have
-        columns that are alike to eight digits rather than four.
-
-    Yields
-    ------
-    (Block, ndarray (w, samples * ny, nx + p + 1))
-        Columns of the windows' free initial states, of the parameters, and the residual.
-
-    Raises
-    ------
-    DivergedError
-        If a simulation next to the point diverges.
-    """
-    free = state_indices(problem.model)
-    steps = parameter_steps(problem.parameters, theta)
-    scales = state_scales(problem.model, states)
-    p, nx = len(theta), len(free)
-    moved = [[_shifted(x, index, STEP * scales[i]) for x in states] for i, index in enumerate(free)]
-    ahead = [theta + step * np.eye(p)[k] for k, step in enumerate(steps)]
-    mirrored = _mirrored(problem.parameters, theta, steps) if central else []
-    behind = [theta - steps[k] * np.eye(p)[k] for k in mirrored]
-    thetas = [*[theta] * len(moved), *ahead, *behind]
-    sizes = np.concatenate([STEP * scales, steps])
-    sizes[[nx + k for k in mirrored]] *= 2.0
-    starts = [*moved, *[states] * (len(ahead) + len(behind))]
-    for block, runs in blocks_of(problem, thetas, starts):
-        base = residuals[block.experiment][block.windows, block.samples]
-        # Columns are filled one after the other; LAPACK wants them so as well.
-        found = np.empty((len(base), nx + p + 1, base[0].size)).transpose(0, 2, 1)
-        found[:, :, nx + p] = base.reshape(len(base), -1)
-        for k in range(nx + p):
-            np.subtract(base, runs[k], out=runs[k])
-            np.divide(runs[k].reshape(len(base), -1), sizes[k], out=found[:, :, k])
-        for i, k in enumerate(mirrored):
-            pair = runs[nx + p + i] - base
-            pair += runs[nx + k]
-            np.divide(pair.reshape(len(base), -1), sizes[nx + k], out=found[:, :, nx + k])
-        if not np.isfinite(found).all():
-            raise DivergedError(
-                f"The simulation of {problem.model.name} diverges a hair's breadth from where it does "
-                "not; fix some parameters or give bounds."
-            )
-        yield block, found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -224,7 +167,7 @@ def extended(
     free = state_indices(problem.model)
     nx, scales = len(free), state_scales(problem.model, states)
     fresh = range(shared, nx)
-    moved = [[_shifted(x, free[i], STEP * scales[i]) for x in states] for i in fresh]
+    moved = [[shifted(x, free[i], STEP * scales[i]) for x in states] for i in fresh]
     sizes = [*(STEP * scales[i] for i in fresh), *(steps[k] for k in own)]
     places = [*fresh, *(nx + k for k in own)]
     starts = [*moved, *[states] * len(own)]
@@ -297,13 +240,13 @@ def linearise(
     states: list[np.ndarray],
     residuals: list[np.ndarray],
     *,
-    central: bool = False,
+    near: Nearby | None = None,
 ) -> Linearisation:
     """Linearise the simulation and project the initial states out; see :func:`columns_of`."""
     p, nx = len(theta), len(state_indices(problem.model))
     columns = [np.empty((len(r), r[0].size, nx + p + 1)) for r in residuals]
     ny = len(problem.sigma)
-    for block, found in columns_of(problem, theta, states, residuals, central=central):
+    for block, found in columns_of(problem, theta, states, residuals, near=near):
         rows = slice(block.samples.start * ny, block.samples.stop * ny)
         columns[block.experiment][block.windows, rows] = found
     projected, bases = [], []
@@ -335,46 +278,6 @@ def state_basis(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def project_out(basis: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Remove from columns (w, m, p) what lies in a basis (w, m, k)."""
     return np.asarray(columns - basis @ (basis.transpose(0, 2, 1) @ columns))
-
-
-def parameter_steps(parameters: Sequence[Parameter], theta: np.ndarray) -> np.ndarray:
-    """Return finite-difference steps (p,), away from the upper bound."""
-    steps = np.array(
-        [STEP * max(abs(t), 1e-3 * p.scale) for p, t in zip(parameters, theta, strict=True)]
-    )
-    over = np.array(
-        [t + s > p.upper for p, t, s in zip(parameters, theta, steps, strict=True)], dtype=bool
-    )
-    return np.where(over, -steps, steps)
-
-
-def _mirrored(parameters: Sequence[Parameter], theta: np.ndarray, steps: np.ndarray) -> list[int]:
-    """Return which parameters may also be stepped the other way."""
-    return [
-        k
-        for k, (p, t, s) in enumerate(zip(parameters, theta, steps, strict=True))
-        if p.lower <= t - s <= p.upper
-    ]
-
-
-def state_scales(model: Model, states: list[np.ndarray]) -> np.ndarray:
-    """Return typical sizes of the free initial states (nx,)."""
-    free = state_indices(model)
-    scales = np.abs(np.concatenate(states)[:, free]).max(axis=0)
-    half = len(model.structure.joints)
-    parts = {"position": slice(0, half), "speed": slice(half, 2 * half)}
-    for part in parts.values():
-        scales[part] = np.maximum(scales[part], 1e-2 * scales[part].max(initial=0.0))
-    for k, kind in enumerate(model.memory, start=2 * half):
-        like = scales[parts[kind]].max(initial=0.0) if kind in parts else 1.0
-        scales[k] = max(scales[k], like)
-    return np.asarray(np.maximum(scales, 1e-9))
-
-
-def _shifted(states: np.ndarray, index: int, step: float) -> np.ndarray:
-    moved = states.copy()
-    moved[:, index] += step
-    return moved
 
 
 def normal_equations(

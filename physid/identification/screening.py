@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from physid.effects.catalogue import CATALOGUE, places_of
+from physid.effects.catalogue import effects_of, places_of
 from physid.errors import ModelError
 from physid.identification.estimate import Estimate
 from physid.identification.linearisation import Linearisation, linearise
+from physid.identification.nearby import Nearby, nearby
 from physid.identification.problem import Problem, residuals_of
 from physid.identification.sizes import scales_of
 from physid.plant.effect import Effect, Placed, Scales, Trial
@@ -55,21 +56,26 @@ class Scored:
 def possible_candidates(problem: Problem) -> list[tuple[Effect, Place]]:
     """List every searched effect at every place it can sit, but for those the model has free already."""
     model = problem.model
-    structure = model.structure
+    return [
+        (effect, place)
+        for effect in effects_of(model)
+        if effect.searched
+        for place in places_of(effect, model.nominal, model.structure)
+        if not is_in_model(effect, place, problem)
+    ]
+
+
+def is_in_model(effect: Effect, place: Place, problem: Problem) -> bool:
+    """Say whether the model has the effect at a place, or free parameters that contain it."""
+    model = problem.model
     freed = {p.name for p in problem.parameters}
-    found = []
-    for effect in (e for e in CATALOGUE if e.searched):
-        for place in places_of(effect, model.nominal, structure):
-            own = f"{structure.label(place)}.{effect.contained_in}"
-            present = any(p.effect.name == effect.name and p.place == place for p in model.effects)
-            contained = any(
-                effect.name in p.effect.supersedes and p.place == place for p in model.effects
-            )
-            if not (
-                own in freed or present or contained or _inertia_is_free(effect, place, problem)
-            ):
-                found.append((effect, place))
-    return found
+    own = f"{model.structure.label(place)}.{effect.contained_in}"
+    there = [p.effect for p in model.effects if p.place == place]
+    return (
+        own in freed
+        or any(effect.name == e.name or effect.name in e.supersedes for e in there)
+        or _inertia_is_free(effect, place, problem)
+    )
 
 
 def _inertia_is_free(effect: Effect, place: Place, problem: Problem) -> bool:
@@ -95,11 +101,13 @@ class Ground:
     basis: np.ndarray
     remaining: np.ndarray
     scales: dict[Place, Scales]
+    near: Nearby | None = None
 
 
 def ground_of(problem: Problem, estimate: Estimate) -> Ground:
     """Linearise a fitted problem for screening."""
-    point = linearise(problem, estimate.theta, estimate.states, estimate.residuals)
+    near = nearby(problem, estimate.theta, estimate.states)
+    point = linearise(problem, estimate.theta, estimate.states, estimate.residuals, near=near)
     basis = orthonormal(point.projected)
     remaining = point.remaining - basis @ (basis.T @ point.remaining)
     return Ground(
@@ -109,6 +117,7 @@ def ground_of(problem: Problem, estimate: Estimate) -> Ground:
         basis=basis,
         remaining=remaining,
         scales=scales_of(problem, estimate),
+        near=near,
     )
 
 
@@ -230,6 +239,14 @@ def _responses(
     changed = with_shape(ground.problem, ground.estimate.theta, effect, place, columns[0])
     thetas = [values_of(changed, column) for column in columns]
     try:
+        if ground.near is not None:
+            plants = [changed.plant(theta, ground.near.step) for theta in thetas]
+            if ground.near.serves(plants):
+                told = ground.near.by_plants(plants, np.ones(len(plants)))
+                return [
+                    ground.point.without_states([found[..., k] for found in told])
+                    for k in range(len(plants))
+                ]
         runs = residuals_of(changed, thetas, [ground.estimate.states] * len(thetas))
     except ModelError:
         return [np.full(ground.remaining.shape, np.nan)] * len(thetas)

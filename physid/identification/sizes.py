@@ -73,7 +73,7 @@ class _Motion:
 
 def _motion(problem: Problem, estimate: Estimate) -> _Motion:
     structure = problem.model.structure
-    states, inputs = _visited(problem, estimate)
+    states, inputs = visited(problem, estimate)
     plant = problem.plant(estimate.theta, problem.windows[0].simulator.step)
     data = mujoco.MjData(plant.model)
     nv = structure.nv
@@ -138,7 +138,7 @@ def _scales(
     )
 
 
-def _visited(problem: Problem, estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
+def visited(problem: Problem, estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
     """Return some states (n, nx) of the fitted windows and the inputs at them (n, nu)."""
     states, inputs = [], []
     for e, windows in enumerate(problem.windows):

@@ -12,7 +12,7 @@ import numpy as np
 
 from physid.errors import ConvergenceError, DivergedError, ModelError
 from physid.identification.estimate import Estimate
-from physid.identification.force_balance import observable, solve_balance, widths
+from physid.identification.force_balance import POINTS, observable, solve_balance, widths
 from physid.identification.linearisation import Reduced, reduce
 from physid.identification.output_error import minimise
 from physid.identification.problem import Problem, residuals_of
@@ -39,6 +39,8 @@ The second holds where MuJoCo simulates, whose friction leaves more than noise a
 NEAR, FAR = 30.0, 3e3
 """A few steps are tried at once from a start below the first, times that, and from the best below the
 second."""
+POINTS_ON_ENGINE = 300
+"""Instants of the force balance where every one of them is asked of MuJoCo."""
 OUTSTANDING = 5.0
 """Times the usual mean squares of windows, or the noise's, from which a window starts anew."""
 POLISH = 5
@@ -244,6 +246,7 @@ def _from_force_balance(problem: Problem) -> Iterator[np.ndarray]:
                 experiments,
                 float(tried[k]),
                 simulator=simulator,
+                points=POINTS if compiled(problem) else POINTS_ON_ENGINE,
             ).theta
         except (np.linalg.LinAlgError, ValueError, ModelError):
             continue

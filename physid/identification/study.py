@@ -62,6 +62,8 @@ class Options:
     seed: int = 0
     jobs: int = 1
     progress: Progress | None = None
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    duration: float | None = None
 
     def report(self, stage: str, fraction: float) -> None:
         """Tell the caller how far the study is."""

@@ -13,8 +13,9 @@ from functools import partial
 
 import numpy as np
 
+from physid.identification.columns import columns_of
 from physid.identification.estimate import Estimate
-from physid.identification.linearisation import Reduced, columns_of, normal_equations, reduced
+from physid.identification.linearisation import Reduced, normal_equations, reduced
 from physid.identification.noise import correlation_time
 from physid.identification.problem import MOST_AT_ONCE, Block, Problem
 

@@ -16,11 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from physid.learning.estimation import estimate, informations, sensitivity
+from physid.learning.estimation import estimate, informations
 from physid.learning.loop import Command, Flight
 from physid.learning.reference import held
 from physid.learning.sensors import Sensors
 from physid.learning.setup import Setup
+from physid.learning.tangent import tangents
 
 SHARP = 8.0
 """Power of the mean of the standard errors that stands for the largest while it is made small."""
@@ -32,10 +33,11 @@ EVALUATIONS = 200
 
 def largest_error(information: np.ndarray, scale: np.ndarray) -> float:
     """Return the largest standard error, relative to each parameter's scale (p,)."""
-    return float(np.max(_errors(information, scale)))
+    return float(np.max(errors_of(information, scale)))
 
 
-def _errors(information: np.ndarray, scale: np.ndarray) -> np.ndarray:
+def errors_of(information: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """Return every standard error, relative to each parameter's scale (p,)."""
     normed = information * np.outer(scale, scale)
     size = np.sqrt(np.maximum(np.diag(normed), 1e-300))
     covariance = np.linalg.pinv(normed / np.outer(size, size), rcond=1e-14, hermitian=True)
@@ -85,7 +87,7 @@ def designed(
 
     def errors(c: np.ndarray) -> np.ndarray:
         _, information = basis.fitted(c, input_limit, output_limits, sensors)
-        return _errors(so_far + left * information, scale)
+        return errors_of(so_far + left * information, scale)
 
     present = np.zeros(len(basis.sizes))
     present[: setup.plant.order + 1] = setup.plant.transfer(eta).denominator
@@ -148,7 +150,7 @@ def _basis(setup: Setup, eta: np.ndarray) -> Basis:
     sizes = np.abs(signals).max(axis=0)
     inputs = signals / sizes
     outputs = setup.plant.filter(eta, setup.dt).run(np.ascontiguousarray(inputs.T)[:, :, None])
-    columns = sensitivity(setup.plant, eta, inputs.T, setup.dt)
+    columns = tangents(setup.plant, eta, inputs.T, setup.dt)
     products = np.einsum("inyp,jnyq->yijpq", columns, columns, optimize=True)
     return Basis(sizes=sizes, inputs=inputs, outputs=outputs, products=products)
 

@@ -7,12 +7,13 @@ times how many there are.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from physid.errors import InputError
-from physid.learning.commands import largest_error
+from physid.errors import InputError, available
+from physid.learning.commands import DEAR, errors_of
 from physid.learning.estimation import Evidence, informations
 from physid.learning.loop import Command, closed_loop, flown
 from physid.learning.reference import Reference
@@ -21,6 +22,8 @@ from physid.learning.setup import Setup
 
 ALIKE = 1e-6
 """Smallest singular value of the sensitivities, each of length one, of parameters told apart."""
+LOSS = 2.0
+"""What a parameter that is not aimed at may lose of what the present reference tells of it."""
 STRONG = 0.2
 """Share in a combination that is not seen, relative to the largest, that is named."""
 
@@ -192,6 +195,7 @@ def propose(
     sensors: Sensors,
     rng: np.random.Generator,
     *,
+    aims: Sequence[str] | None = None,
     input_limit: float | None = None,
     output_limits: np.ndarray | None = None,
     candidates: int = 60,
@@ -200,7 +204,7 @@ def propose(
 
     A step and bands of sines between the slowest frequency of the record and the fastest the samples carry,
     the spectrum tilted, are scaled into the limits and compared by the largest relative standard
-    error expected; then the best is varied at random.
+    error expected of the aims; then the best is varied at random.
 
     Parameters
     ----------
@@ -209,17 +213,36 @@ def propose(
         The nominal parameters: nothing has been flown yet.
     sensors : Sensors
     rng : numpy.random.Generator
+    aims : sequence of str, optional
+        The parameters that matter, by default all.  No other is told worse than :data:`LOSS` times what
+        the present reference tells of it.
     input_limit : float, optional
         Largest absolute feed-forward; by default that of the present reference.
     output_limits : ndarray (ny,), optional
         Largest absolute outputs; by default those of the present reference.
     candidates : int
         How many references are compared.
+
+    Raises
+    ------
+    InputError
+        If an aim is not among the parameters.
     """
+    names = setup.plant.names
+    for name in aims or ():
+        if name not in names:
+            raise InputError(f"'{name}' is not being learned. {available(names)}")
+    aimed = np.isin(names, names if aims is None else aims)
     old = setup.command(eta, np.full(len(setup.plant.outputs), np.inf))
     top = float(np.abs(old.feedforward).max()) if input_limit is None else input_limit
     peaks = np.abs(old.reference).max(axis=0) if output_limits is None else output_limits
     scale = setup.plant.scale(eta)
+    allowed = LOSS * errors_of(_information(setup, eta, old, sensors), scale)
+
+    def cost(information: np.ndarray) -> float:
+        found = errors_of(information, scale)
+        lost = np.max(found / allowed, where=~aimed, initial=1.0)
+        return float(np.max(found[aimed]) * lost**DEAR)
 
     def scaled(reference: Reference) -> tuple[float, Setup, Command]:
         tried = replace(setup, reference=reference)
@@ -232,7 +255,7 @@ def propose(
             tried, reference=replace(reference, amplitude=factor * reference.amplitude)
         )
         command = fitted.command(eta, np.full(len(peaks), np.inf))
-        return largest_error(_information(fitted, eta, command, sensors), scale), fitted, command
+        return cost(_information(fitted, eta, command, sensors)), fitted, command
 
     fresh = candidates // 2
     tried = [setup.reference, *(_band(setup, rng) for _ in range(fresh))]

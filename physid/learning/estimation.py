@@ -21,6 +21,7 @@ from physid.errors import ConvergenceError
 from physid.identification.whitening import covariance_of, noise_of, sensitivities
 from physid.learning.loop import Command, Flight, predictor
 from physid.learning.plant import ParametricPlant
+from physid.learning.tangent import tangents
 
 PASSES = 3
 """Passes of fit and noise."""
@@ -206,17 +207,6 @@ def coloured(residual: np.ndarray) -> bool:
     return any(np.abs(noise_of(one).rho).max() > COLOURED for one in residual)
 
 
-def sensitivity(
-    plant: ParametricPlant, eta: np.ndarray, inputs: np.ndarray, dt: float
-) -> np.ndarray:
-    """Return d(outputs)/d(eta) without feedback, (g, n, ny, p), for inputs (g, n)."""
-    shape = (*inputs.shape, len(plant.outputs))
-    still = Evidence(inputs=inputs, outputs=np.zeros(shape), counts=np.ones(len(inputs)), dt=dt)
-    ones = np.ones(shape[-1])
-    found = _columns(plant, still, eta, ones, np.ones((1, 1, 1)))
-    return np.asarray(-found.reshape(*shape, len(eta)))
-
-
 def _columns(
     plant: ParametricPlant,
     evidence: Evidence,
@@ -225,6 +215,9 @@ def _columns(
     weights: np.ndarray,
 ) -> np.ndarray:
     """Return the weighted innovations' sensitivities (g n ny, p)."""
+    if not evidence.mirrored:
+        found = -tangents(plant, eta, evidence.inputs, evidence.dt) * weights[..., None]
+        return np.asarray(found.reshape(-1, len(eta)))
 
     def weighted(point: np.ndarray) -> np.ndarray:
         found = innovations(plant, point, evidence, sigma) * weights

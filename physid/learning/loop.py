@@ -15,7 +15,7 @@ Automatic Control 45 (2000).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import schur, solve_discrete_lyapunov
@@ -52,6 +52,16 @@ class Command:
     def key(self) -> bytes:
         """What two equal commands have in common."""
         return self.feedforward.tobytes() + self.reference.tobytes()
+
+    def within(self, other: Command) -> Command:
+        """Return it, made as much smaller as its largest feed-forward is beyond another's."""
+        top, own = np.abs(other.feedforward).max(), np.abs(self.feedforward).max()
+        if own <= top:
+            return self
+        factor = float(top / own)
+        return replace(
+            self, feedforward=factor * self.feedforward, reference=factor * self.reference
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -21,6 +21,7 @@ from physid.identification.whitening import covariance_of
 from physid.learning.commands import designed, most_telling
 from physid.learning.estimation import (
     Estimate,
+    Evidence,
     coloured,
     estimate,
     first_estimate,
@@ -211,9 +212,15 @@ class InformationWeighted(Rule):
         flights: Sequence[Flight],
         left: int,
     ) -> Command | None:
-        """Repeat, after the learning, what tells most."""
-        if len(flights) < self.learning:
+        """Follow the estimate within the first command's largest input; then repeat what tells most.
+
+        A single flight may leave parameters so uncertain that the next model asks for a million times the
+        input. The rig is linear: a smaller amplitude tells as much relative to the output.
+        """
+        if not flights:
             return None
+        if len(flights) < self.learning:
+            return setup.command(eta, commands[-1].limits).within(commands[0])
         if self._designs(setup, len(flights)):
             assert self.sensors is not None
             return designed(setup, eta, commands, flights, left, self.sensors)
@@ -225,7 +232,7 @@ class InformationWeighted(Rule):
         self, setup: Setup, eta: np.ndarray, commands: Sequence[Command], flights: Sequence[Flight]
     ) -> Estimate:
         """Refine by output error on all experiments, repetitions averaged."""
-        found = estimate(setup.plant, setup.gather(commands, flights), eta)
+        found = self._refined(setup, eta, setup.gather(commands, flights))
         if setup.controller is None or self.disturbed:
             return found
         growth = np.abs(np.linalg.eigvals(setup.plant.filter(found.eta, setup.dt).a)).max()
@@ -233,6 +240,18 @@ class InformationWeighted(Rule):
             return found
         whole = setup.gather(commands, flights, mirrored=False)
         return estimate(setup.plant, whole, found.eta)
+
+    @staticmethod
+    def _refined(setup: Setup, eta: np.ndarray, evidence: Evidence) -> Estimate:
+        """Refine, from other starts too where what is left is not white."""
+        plant = setup.plant
+        found = estimate(plant, evidence, eta)
+        typical = np.sqrt(np.mean(found.sigma**2, axis=0))
+        if not coloured(innovations(plant, found.eta, evidence, typical)):
+            return found
+        again = estimate(plant, evidence, first_estimate(plant, evidence, plant.start))
+        better = np.sum(np.log(again.sigma)) < np.sum(np.log(found.sigma))
+        return again if better else found
 
     def _designs(self, setup: Setup, done: int) -> bool:
         if self.sensors is None or setup.controller is not None:

@@ -13,8 +13,12 @@ from physid.monitoring.signatures import signature
 
 DIFFERENCE = 1e-4
 """Step of the derivative at no change, relative to the parameter."""
-SETTLINGS = 6
+SETTLINGS = 20
 """Gauss and Newton's steps of constant deviations at most."""
+SHARES = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01)
+"""Shares of a step that are tried until the squares fall."""
+CALM = 1e-6
+"""Fall of the squares to come, in units of the noise, below which they are at their least."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,8 +75,10 @@ class Base:
         residual = (window.y - rig.run(driven[None])[0]) / sigma
         start = np.zeros(k)
         basis = np.zeros((residual.size, 0)) if window.at_rest else free.reshape(-1, k)
-        if not window.at_rest:
-            start = np.linalg.lstsq(basis, residual.ravel(), rcond=1e-10)[0]
+        # An unstable rig may leave the numbers' range; its squares then say so.
+        if not window.at_rest and np.isfinite(basis).all() and np.isfinite(residual).all():
+            scale = np.maximum(np.linalg.norm(basis, axis=0), 1e-300)
+            start = np.linalg.lstsq(basis / scale, residual.ravel(), rcond=1e-10)[0] / scale
             residual = residual - (basis @ start).reshape(residual.shape)
         shifts = np.zeros((residual.size, 0))
         states = rig.states(driven, start)
@@ -130,12 +136,31 @@ class Base:
 
 
 def settled(pulled: Pulled, window: Window) -> Pulled:
-    """Return the rig at the constant values that fit a window best, by Gauss and Newton."""
+    """Return the rig at the constant values that fit a window best, by Gauss and Newton.
+
+    A step is shortened until the squares fall: the phase of a lightly damped rig turns over within a share
+    of its resonance's width, beyond which a whole step leads away.
+    """
+    base = Base.of(pulled, window, False)
     for _ in range(SETTLINGS):
-        step = Base.of(pulled, window, True).shift
-        half = 0.5 * np.abs(pulled.nominal)
-        moved = pulled.nominal + np.clip(step, -half, np.where(half > 0, 2.0 * half, np.abs(step)))
-        pulled = replace(pulled, nominal=moved)
-        if np.all(np.abs(step) <= 1e-4 * np.abs(moved)):
+        if not np.isfinite(base.squares):
             break
-    return pulled
+        corrected = base.with_shifts()
+        half = 0.5 * np.abs(base.pulled.nominal)
+        step = corrected.shift
+        step = np.clip(step, -half, np.where(half > 0, 2.0 * half, np.abs(step)))
+        tried = (_stepped(base, share * step) for share in SHARES)
+        better = next((t for t in tried if t.squares < base.squares), None)
+        if better is None:
+            break
+        still = base.squares - corrected.squares < CALM
+        base = better
+        if still:
+            break
+    return base.pulled
+
+
+def _stepped(base: Base, step: np.ndarray) -> Base:
+    """Return the window beside the rig with its parameters moved."""
+    moved = replace(base.pulled, nominal=base.pulled.nominal + step)
+    return Base.of(moved, base.window, False)

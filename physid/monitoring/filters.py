@@ -108,6 +108,9 @@ def sampled(
     Notes
     -----
     Under straight lines x+ = ad x + b0 v + b1 v+; the state x - b1 v makes that causal.
+
+    The exponential is taken of the balanced matrix and scaled back, exactly, by powers of two: which powers
+    balance best changes with the parameters, and filters of neighbouring values must share their states.
     """
     k, m = b.shape
     balanced, scaling = matrix_balance(a, permute=False, separate=True)
@@ -117,12 +120,12 @@ def sampled(
     full[:k, :k], full[:k, k : k + m] = balanced * dt, inner * dt
     full[k : k + m, k + m :] = np.eye(m)
     step = expm(full)[:k]
-    ad, held, ramp = step[:, :k], step[:, k : k + m], step[:, k + m :]
+    step *= size[:, None]
+    ad, held, ramp = step[:, :k] / size, step[:, k : k + m], step[:, k + m :]
     straight = np.asarray(lines, dtype=bool)
     now = np.where(straight, held - ramp, held)
     then = np.where(straight, ramp, 0.0)
-    reading = c * size
-    return Filter(a=ad, b=now + ad @ then, c=reading, d=d + reading @ then, dt=dt)
+    return Filter(a=ad, b=now + ad @ then, c=c, d=d + c @ then, dt=dt)
 
 
 def advance(filtered: Filter, signals: np.ndarray, state: np.ndarray) -> np.ndarray:

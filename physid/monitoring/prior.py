@@ -40,6 +40,8 @@ FLOOR = 0.02
 """Least value, over the nominal one: a mass or a stiffness has a sign."""
 EDGE = 0.05
 """Likelihood at an end of the range, over its maximum, from which the range cuts it off."""
+UNSETTLED = 0.1
+"""Fall of the squares, in units of the noise, that is still to come where several parameters did not settle."""
 SEVERAL = 1.5
 """Spread of the likelihood over its width at the maximum, from which several values explain a record."""
 
@@ -220,24 +222,31 @@ def identify_together(pulled: Pulled, window: Window) -> Together:
 
     Where several deviations stand between one input and one output, z and x of each cannot be told apart
     by inversion.  Gauss and Newton's steps on the exact simulation need none; start them from values that
-    are right to the width of a resonance, such as :func:`identify`'s.
+    are right to some widths of a resonance, such as :func:`identify`'s.  In white noise the errors are those
+    of the Cramer-Rao bound.  Squares have other minima farther off: a large ``doubt`` tells of one.
 
     Raises
     ------
     ConvergenceError
-        If the squares are not finite there.
+        If the squares are not finite there, or the steps do not settle.
     """
     at = settled(pulled, window)
-    base = Base.of(at, window, True)
+    nominal = Base.of(at, window, False)
+    if not np.isfinite(nominal.squares):
+        raise ConvergenceError(
+            "The simulation is not finite at the estimate: start from nearer nominal values."
+        )
+    base = nominal.with_shifts()
     columns = base.shifts
     if base.basis.shape[1]:
         q = np.linalg.qr(base.basis)[0]
         columns = columns - q @ (q.T @ columns)
     covariance = covariance_of(columns)
     count = window.y.size - columns.shape[1] - base.basis.shape[1]
-    if not np.isfinite(base.squares):
+    if nominal.squares - base.squares > UNSETTLED:
         raise ConvergenceError(
-            "The simulation is not finite at the estimate: start from nearer nominal values."
+            f"The estimates of {', '.join(at.names)} do not settle: start from nearer nominal values, or take "
+            "a longer record."
         )
     return Together(
         names=at.names,

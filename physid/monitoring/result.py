@@ -53,6 +53,8 @@ class MonitorResult:
     weighed : Weighed
     time : ndarray (n,)
         Of the window that decided [s].
+    begin : float
+        When the record begins [s].
     windows : int
         Windows that were looked at.
     patterns : tuple of Pattern
@@ -68,6 +70,7 @@ class MonitorResult:
     parameters: tuple[Parameter, ...]
     weighed: Weighed
     time: np.ndarray
+    begin: float
     windows: int
     patterns: tuple[Pattern, ...]
     tracks: tuple[Track, ...]
@@ -184,7 +187,7 @@ class MonitorResult:
         }
 
     def _evidence(self) -> list[dict[str, Any]]:
-        """Return the effect that the change speaks for, as a diagnosis names it."""
+        """Return the effect that the change speaks for, as a diagnosis names it: from the record's begin on."""
         if self.verdict != "changed":
             return []
         best = self.weighed.best
@@ -198,7 +201,7 @@ class MonitorResult:
                 "location": element,
                 "parameters": [
                     {"name": "factor", "value": 1.0 + best.delta / value},
-                    {"name": "time", "value": float(self.time[best.index])},
+                    {"name": "time", "value": float(self.time[best.index] - self.begin)},
                 ],
                 "representation": "runtime",
             }

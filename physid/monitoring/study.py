@@ -108,6 +108,7 @@ def monitor(
         parameters=tuple(loaded.parameter(n) for n in pulled.names),
         weighed=weighed,
         time=experiment.time[part],
+        begin=float(experiment.time[0]),
         windows=count,
         patterns=patterns,
         tracks=tracks,

@@ -1,8 +1,8 @@
 """Many runs of a rig at once, for studies of what an estimate reaches.
 
 Runs come from the exact solution under held inputs.  Noise is drawn in pairs of either sign: what is
-odd in the noise then cancels in a mean over runs, which so shows a bias far below the spread; the spread
-of all runs is that of independent ones.
+odd in the noise then cancels in a mean over runs, which so shows a bias far below the spread.  A spread is
+known no better from pairs than from half as many runs: draw those independent.
 """
 
 from __future__ import annotations
@@ -43,6 +43,7 @@ def white_runs(
     dt: float,
     ratio: float,
     rng: np.random.Generator,
+    paired: bool = True,
 ) -> Runs:
     """Drive a rig from rest with white noise N(0, 1) held over a sample.
 
@@ -50,8 +51,10 @@ def white_runs(
     ----------
     ratio : float
         Power of noise over that of the signal, per sensor and run, KU (20).
+    paired : bool
+        Whether the second half are the first's inputs with the noise's other sign; else all are independent.
     """
-    half = -(-runs // 2)
+    half = -(-runs // 2) if paired else runs
     u = rng.standard_normal((half, samples, len(pulled.inputs)))
     clean = simulate(pulled, theta, u, dt)
     sigma = np.sqrt(ratio * np.mean(clean**2, axis=1))

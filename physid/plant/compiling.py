@@ -2,11 +2,13 @@
 
 Numba keeps compiled code beside the module or in the user's cache folder, keyed by the source's time
 stamp, its own version and the processor.  Where neither folder can be written it would refuse;
-here the function is compiled in every process instead.
+here the function is compiled in every process instead, as are those of scripts: kept code is found
+again under the name of its module, which a script has not.
 """
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -38,6 +40,8 @@ def kept_c_function(signature: Any, **options: Any) -> Callable[[Callable[..., A
 
 
 def _kept(compiler: Callable[..., Any], plain: Callable[..., Any], options: dict[str, Any]) -> Any:
+    if getattr(sys.modules.get(plain.__module__), "__spec__", None) is None:
+        return compiler(**options)(plain)
     try:
         return compiler(cache=True, **options)(plain)
     except RuntimeError:  # no folder for it can be written

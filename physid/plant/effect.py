@@ -153,6 +153,8 @@ class Effect(ABC):
     """Whether its law depends on the time."""
     searched: ClassVar[bool] = True
     """Whether a diagnosis tries it by itself; if not, it is there for who adds it."""
+    origin: ClassVar[str] = ""
+    """Name of the user's file that defines it; empty for those of the catalogue."""
 
     def possible(self, model: mujoco.MjModel, structure: Structure, place: Place) -> bool:
         """Say whether the effect makes sense at a place of this model."""

@@ -112,14 +112,14 @@ def _evaluate(address, x, v, t, constants, out):  # type: ignore[no-untyped-def]
 
 
 def evaluate(
-    law: Any, x: np.ndarray, v: np.ndarray, t: np.ndarray, constants: np.ndarray
+    address: int, x: np.ndarray, v: np.ndarray, t: np.ndarray, constants: np.ndarray
 ) -> np.ndarray:
     """Evaluate a law on arrays.
 
     Parameters
     ----------
-    law : numba CFunc
-        A law made by :func:`force_law`.
+    address : int
+        Of a law made by :func:`force_law`.
     x, v, t : ndarray (n,)
         Coordinate [m or rad], its rate [per s], time [s].
     constants : ndarray (k,)
@@ -132,7 +132,7 @@ def evaluate(
     """
     out = np.empty_like(x, dtype=float)
     _evaluate(
-        law.address,
+        address,
         x.astype(float),
         v.astype(float),
         t.astype(float),

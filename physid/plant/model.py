@@ -29,6 +29,8 @@ from physid.plant.structure import Structure, structure_of
 
 ELEMENT_TABLE = "physid:elements"
 """Name of the table of run-time force laws in a compiled model; never written to a file."""
+ORIGIN = "physid:file:"
+"""How the names of texts begin that say which user's file an effect is from."""
 ELEMENT_WIDTH = 100
 """Numbers reserved per run-time force law."""
 JOINT_WIDTH = 5
@@ -93,6 +95,8 @@ class Model:
         Effects added to the MJCF.
     notes : tuple of str
         What was done on loading.
+    own : tuple of Effect
+        The user's own effects, which may be added by name beside those of the catalogue.
     """
 
     name: str
@@ -100,6 +104,7 @@ class Model:
     values: Mapping[str, float] = field(default_factory=dict)
     effects: tuple[Placed, ...] = ()
     notes: tuple[str, ...] = ()
+    own: tuple[Effect, ...] = ()
     derived: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
     """What was computed from ``spec``, once for all models that share it."""
 
@@ -371,6 +376,9 @@ class Model:
             if placed.effect.representation == "runtime":
                 data = [float(placed.values[c.name]) for c in placed.effect.coefficients]
                 spec.add_numeric(name=f"physid:{self.site(placed)}", data=data, size=len(data))
+        for effect in {p.effect.name: p.effect for p in self.effects}.values():
+            if effect.origin and effect.representation == "runtime":
+                spec.add_text(name=f"{ORIGIN}{effect.name}", data=effect.origin)
         spec.compile()
         return str(spec.to_xml())
 
@@ -379,6 +387,7 @@ __all__ = [
     "ELEMENT_TABLE",
     "ELEMENT_WIDTH",
     "JOINT_WIDTH",
+    "ORIGIN",
     "Instrument",
     "Model",
     "Plant",

@@ -91,8 +91,10 @@ class Structure:
         ModelError
             If no such element exists, or if the name alone means several.
         """
-        allowed = [p for p in (*self.places, *self.pairs) if p.kind in set(kinds)]
-        if "pair" in set(kinds):
+        wanted = set(kinds)
+        allowed = [p for p in self.places if p.kind in wanted]
+        if "pair" in wanted:
+            allowed += self.pairs
             names = {name.strip() for name in text.split(",")}
             same = [p.name for p in allowed if p.kind == "pair" and set(p.name.split(",")) == names]
             text = same[0] if same else text

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from physid.record.drive import Drive, parse_drive
 from physid.record.excitation import Excitation, MSequence, Step
+from physid.record.levels import Levels, Pulses, Ramp
 from physid.record.noise import LowPass, Noise
 from physid.record.reading import load_record
 from physid.record.record import Record, Samples, uniform
@@ -15,10 +16,13 @@ __all__ = [
     "Chirp",
     "Drive",
     "Excitation",
+    "Levels",
     "LowPass",
     "MSequence",
     "Multisine",
     "Noise",
+    "Pulses",
+    "Ramp",
     "Record",
     "Samples",
     "Step",

@@ -7,16 +7,22 @@ from dataclasses import MISSING, Field, fields
 
 from physid.errors import InputError, available
 from physid.record.excitation import Excitation, MSequence, Step
+from physid.record.levels import Levels, Pulses, Ramp
 from physid.record.noise import LowPass, Noise
 from physid.record.sines import Chirp, Multisine
 
-KINDS: Mapping[str, type[MSequence | Noise | LowPass | Multisine | Chirp | Step]] = {
+KINDS: Mapping[
+    str, type[MSequence | Noise | LowPass | Multisine | Chirp | Step | Ramp | Levels | Pulses]
+] = {
     "mseq": MSequence,
     "noise": Noise,
     "lowpass": LowPass,
     "multisine": Multisine,
     "chirp": Chirp,
     "step": Step,
+    "ramp": Ramp,
+    "levels": Levels,
+    "pulses": Pulses,
 }
 """The kinds of excitation by the name they have in a specification."""
 
@@ -31,8 +37,10 @@ def parse_excitation(spec: str) -> Excitation:
         ``noise:cutoff=20,amplitude=1,duration=10``,
         ``lowpass:cutoff=16,order=2,amplitude=0.1,duration=1``,
         ``multisine:low=0.1,high=10,amplitude=1,duration=10``,
-        ``chirp:low=0.1,high=10,amplitude=1,duration=10`` or
-        ``step:time=1,amplitude=1,duration=10``.
+        ``chirp:low=0.1,high=10,amplitude=1,duration=10``,
+        ``step:time=1,amplitude=1,duration=10``, ``ramp:amplitude=1,duration=10,periods=2``,
+        ``levels:hold=0.2,amplitude=1,duration=10`` or
+        ``pulses:width=0.1,rest=1,amplitude=1,duration=10``.
 
     Returns
     -------

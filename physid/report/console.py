@@ -132,6 +132,15 @@ def _where(result: Result) -> RichTable:
     return draw(tables.shares(joints), "Where the model fails")
 
 
+def _symptoms(result: Result) -> Text:
+    """Return what the model's own estimates show, one line each."""
+    body = Text()
+    for symptom in mappings(result.get("symptoms")):
+        body.append("symptom ", style="dim")
+        body.append(tables.plain(symptom.get("sentence")) + "\n")
+    return body
+
+
 def _experiment(result: Result) -> Text:
     """Return the experiment that would decide."""
     body = Text("Next experiment\n", style="bold")
@@ -159,7 +168,9 @@ def renderables(result: Result) -> list[RenderableType]:
         pieces.append(_where(result))
     if mapping(result.get("next_experiment")):
         pieces.append(_experiment(result))
-    return pieces + [text for text in (_records(result), _notes(result)) if text.plain]
+    return pieces + [
+        text for text in (_symptoms(result), _records(result), _notes(result)) if text.plain
+    ]
 
 
 _TABLES: dict[str, Callable[[Result], RichTable]] = {

@@ -10,6 +10,7 @@ from physid.report.forces import force_map_blocks, latent_blocks
 from physid.report.layout import Block, Picture, Section, picture, section
 from physid.report.loops import tuning_sections
 from physid.report.notation import NO_BREAK, half_width, percent, short
+from physid.report.plans import plan_blocks
 from physid.report.reading import (
     Array,
     Curves,
@@ -45,7 +46,7 @@ def sections(result: Result, curves: Curves) -> list[Section]:
     found = [
         _steps(result),
         _where(result, curves),
-        _candidates(result),
+        _candidates(result, curves),
         _parameters(result, curves),
         trajectories(result, curves),
         beside(result),
@@ -106,10 +107,9 @@ def _where(result: Result, curves: Curves) -> Section | None:
     return section("where-it-fails", "Where the model fails", lead, blocks)
 
 
-def _candidates(result: Result) -> Section | None:
+def _candidates(result: Result, curves: Curves) -> Section | None:
     """Return the ranking of candidates and the experiment that would decide."""
     found = mappings(result.get("candidates"))
-    sentence, pairs = tables.experiment(result.get("next_experiment"))
     shown = [c for c in found if worst(c.get("nrmse_after"))][:12]
     drawn: tuple[Picture, ...] = ()
     if len(shown) > 1:
@@ -120,15 +120,21 @@ def _candidates(result: Result) -> Section | None:
     blocks = [
         Block(pictures=drawn),
         Block(table=tables.candidates(found)),
-        Block(
-            heading="The experiment that would tell more",
-            text=sentence,
-            pairs=tuple(pairs),
-        ),
+        _symptoms(result),
+        *plan_blocks(result, curves),
     ]
     lead = "Each was refitted with all other parameters free, the most promising first. Errors and p-values come "
     lead += "from data that took no part in the choice; p is corrected for all candidates tried."
     return section("candidates", "Candidates and their evidence", lead, blocks)
+
+
+def _symptoms(result: Result) -> Block:
+    """Return what the model's own estimates show."""
+    sentences = [text(s.get("sentence")) for s in mappings(result.get("symptoms"))]
+    return Block(
+        heading="What the model's own parameters show" if sentences else "",
+        text=" ".join(sentences),
+    )
 
 
 def _interval_picture(entries: object) -> tuple[Picture, ...]:

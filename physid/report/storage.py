@@ -208,7 +208,7 @@ def load_results(directory: str | Path) -> tuple[dict[str, Any], dict[str, NDArr
     path = folder / RESULT
     if not path.is_file():
         raise InputError(f"{folder} holds no {RESULT}. Give the folder that --out wrote.")
-    return _load_json(path), _load_curves(folder / CURVES)
+    return load_result(path), _load_curves(folder / CURVES)
 
 
 def _constant(name: str) -> NoReturn:
@@ -216,8 +216,14 @@ def _constant(name: str) -> NoReturn:
     raise ValueError(f"{name} is not a JSON number")
 
 
-def _load_json(path: Path) -> dict[str, Any]:
-    """Read result.json."""
+def load_result(path: Path) -> dict[str, Any]:
+    """Read a result without its curves.
+
+    Raises
+    ------
+    InputError
+        Where the file is missing, malformed or of an unknown schema.
+    """
     try:
         result = json.loads(path.read_text(encoding="utf-8"), parse_constant=_constant)
     except (OSError, ValueError, RecursionError) as error:

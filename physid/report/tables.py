@@ -334,9 +334,44 @@ def pairs(value: object) -> list[tuple[str, str]]:
 
 
 def experiment(value: object) -> tuple[str, list[tuple[str, str]]]:
-    """Return the next experiment's sentence, and the rest of it as pairs."""
-    found = dict(mapping(value))
-    return text(found.pop("sentence", "")), pairs(found)
+    """Return the next experiment's sentence, and what to type, play and keep to as pairs."""
+    found = mapping(value)
+    shown = {k: found[k] for k in ("excite", "record", "separates") if found.get(k)}
+    limits = [
+        f"{text(li.get('name'))} {short(number(li.get('low')))} to {short(number(li.get('high')))}"
+        f" ({_SOURCES.get(str(li.get('source')), 'as the records went')})"
+        for li in mappings(found.get("limits"))
+    ]
+    return text(found.get("sentence")), pairs(shown | ({"limits": limits} if limits else {}))
+
+
+_SOURCES = {"given": "as given", "model": "of the model"}
+
+
+def rivals(value: object) -> Table:
+    """Return how far apart every two rivals of the next experiment would be."""
+    found = mapping(value)
+    names = [effects_phrase(r) or "the model as it stands" for r in found.get("rivals") or ()]
+    columns = [
+        Column(heading="Between"),
+        Column(heading="and"),
+        Column(heading="Expected separation (χ²)", numeric=True),
+        Column(heading="Probability of deciding", numeric=True),
+    ]
+    rows = []
+    for pair in mappings(found.get("pairs")):
+        ends = [k for k in pair.get("between") or () if isinstance(k, int) and 0 <= k < len(names)]
+        if len(ends) != 2:
+            continue
+        told = bool(pair.get("separable"))
+        cells = [
+            capital(names[ends[0]]),
+            capital(names[ends[1]]),
+            short(number(pair.get("separation")), 2),
+            share(number(pair.get("probability"))),
+        ]
+        rows.append(("" if told else "warn", cells))
+    return _table(columns, rows)
 
 
 def shares(entries: object, caption: str = "") -> Table:

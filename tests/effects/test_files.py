@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from physid.effects.catalogue import CATALOGUE, add_effects, load_model_text
+from physid.identification.freedom import candidates
 from physid.plant.callback import run_time_laws
 from physid.plant.simulation import make_simulator
 from tests.plant.rigs import difference, inputs_for, load_text, plain, ranges, run
@@ -99,6 +100,13 @@ def test_a_file_with_two_effects_and_values_moves_alike(one, other, factor):
     u = inputs(120)
     again = load_text(model.to_xml(5e-4))
     assert difference(motion(again, u)[None], motion(model, u)[None]) < 5e-5
+
+
+@pytest.mark.parametrize("name", PRESENT)
+def test_a_written_file_can_be_fitted_again(name):
+    again = load_text(with_effect(name).to_xml(1e-3))
+    for parameter in candidates(again):
+        assert again.with_values({parameter.name: parameter.value}).values is not None
 
 
 @pytest.mark.parametrize("name", NATIVE)

@@ -222,7 +222,7 @@ def test_laws_evaluate_on_arrays_as_written():
     constants = np.array([3.0, 0.5, 0.8])
     inside = np.abs(x) <= 0.4
     expected = np.where(inside, 3.0 * x + 0.5 * v, 3.0 * 0.4 * np.sign(x))
-    assert np.allclose(evaluate(play, x, v, 0 * x, constants), expected)
+    assert np.allclose(evaluate(play.address, x, v, 0 * x, constants), expected)
     p = np.array([0.7, 0.3, 0.015])
     rise = -0.7 * np.exp(-((v / 0.3) ** 2)) * np.tanh(v / 0.015)
-    assert np.allclose(evaluate(stribeck_rise, x, v, 0 * x, p), rise)
+    assert np.allclose(evaluate(stribeck_rise.address, x, v, 0 * x, p), rise)

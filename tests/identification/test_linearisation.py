@@ -8,7 +8,8 @@ import pytest
 from physid.effects.catalogue import effect_named
 from physid.identification import linearisation, uncertainty
 from physid.identification import problem as problems
-from physid.identification.linearisation import columns_of, extended, linearise, reduce
+from physid.identification.columns import columns_of
+from physid.identification.linearisation import extended, linearise, reduce
 from physid.identification.output_error import minimise
 from physid.identification.problem import residuals_of
 from physid.identification.staged import windowed

@@ -8,7 +8,8 @@ from scipy.optimize import least_squares
 
 from physid.errors import DivergedError
 from physid.identification.accuracy import refine_steps
-from physid.identification.linearisation import columns_of, linearise
+from physid.identification.columns import columns_of
+from physid.identification.linearisation import linearise
 from physid.identification.output_error import minimise
 from physid.identification.problem import residuals_of, with_activations
 from physid.identification.staged import thinned, windowed

@@ -40,6 +40,16 @@ def test_an_environment_is_learned():
     assert np.abs(found.flights[3].outputs - found.flights[4].outputs).max() > 0  # fresh noise
 
 
+def test_noise_is_relative_to_a_flight_without_it():
+    setup, truth = aircraft()
+    command = setup.command(truth, np.full(1, np.inf))
+    quiet = EnvironmentExperiment(env(truth), ("climb",))(command).outputs
+    noisy = EnvironmentExperiment(env(truth), ("climb",), seed=1, ratio=0.2)
+    for _ in range(2):  # the repetition too
+        spread = np.std(noisy(command).outputs - quiet)
+        assert spread == pytest.approx(0.2 * np.sqrt(np.mean(quiet**2)), rel=0.1)
+
+
 def test_it_stops_at_the_limits_and_says_names():
     setup, truth = aircraft()
     command = setup.command(setup.plant.start, np.full(1, 5.0))

@@ -1,8 +1,11 @@
 """Learning: the published rule, all information, what stops it, and what is known before flying."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from physid.effects.catalogue import load_model
 from physid.errors import DivergedError, InputError
 from physid.learning import (
     Averaging,
@@ -16,8 +19,10 @@ from physid.learning import (
     identifiable,
     indistinct,
     learn,
+    parametric_plant,
     propose,
 )
+from physid.rigs import rig_path
 
 from .rigs import CASE3, INERTIAS, aircraft, flown, inertias, named
 
@@ -111,6 +116,33 @@ def test_parameters_that_act_alike_are_named():
     assert indistinct(inertias(), inertias().plant.start) == ()
 
 
+def test_a_command_is_never_larger_than_the_first():
+    setup, truth = aircraft()
+    first = setup.command(setup.plant.start, np.full(1, np.inf))
+    wild = setup.command(50.0 * truth, np.full(1, np.inf))
+    fitted = wild.within(first)
+    assert np.abs(fitted.feedforward).max() == pytest.approx(np.abs(first.feedforward).max())
+    factor = fitted.feedforward[500] / wild.feedforward[500]
+    np.testing.assert_allclose(fitted.reference, factor * wild.reference)
+    assert first.within(wild) is first
+
+
+@pytest.mark.parametrize(("start", "noise"), [(5, 0), (2, 2)])
+def test_two_inertias_are_learned_from_ten_experiments(start, noise):
+    """The second model asks for a million times the input; from the other start the last fit misses too."""
+    rng, truth = np.random.default_rng(start), inertias().plant.start
+    values = truth * rng.uniform(0.6, 1.6, len(truth))
+    begun = load_model(rig_path("two_inertia")).with_values(
+        dict(zip(INERTIAS, map(float, values), strict=True))
+    )
+    setup = replace(inertias(), plant=parametric_plant(begun, INERTIAS))
+    setup = replace(setup, reference=propose(setup, setup.plant.start, KNOWN, rng).reference)
+    rule = InformationWeighted(learning=3, sensors=KNOWN)
+    found = learn(setup, flown(setup, truth, seed=noise), rule=rule, experiments=10)
+    assert not found.stopped
+    assert np.abs((found.estimate.eta - truth) / found.estimate.std_error).max() < 5
+
+
 def test_repetitions():
     setup, truth = aircraft()
     found = expect(setup, truth, KNOWN)
@@ -127,6 +159,17 @@ def test_a_proposed_reference_keeps_the_limits():
     assert found.input_peak <= np.abs(old.feedforward).max() * (1 + 1e-9)
     assert found.output_peaks[0] <= np.abs(old.reference).max() * (1 + 1e-9)
     assert max(found.after.values()) < max(found.before.values())
+
+
+def test_a_reference_is_proposed_for_what_matters():
+    setup, truth = aircraft(("X_alpha", "Z_delta", "M_delta"))
+    aim = named(("Z_delta",))
+    found = propose(setup, truth, KNOWN, np.random.default_rng(0), aims=aim, candidates=40)
+    assert found.after[aim[0]] < found.before[aim[0]] / 2
+    for name in named(("X_alpha", "M_delta")):
+        assert found.after[name] < 2.2 * found.before[name]
+    with pytest.raises(InputError, match="'Z_q' is not being learned"):
+        propose(setup, truth, KNOWN, np.random.default_rng(0), aims=("Z_q",))
 
 
 def test_sentences():

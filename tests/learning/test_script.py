@@ -4,21 +4,21 @@ import runpy
 import sys
 from pathlib import Path
 
-import numpy as np
-
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 
 
 def test_script(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "path", [str(SCRIPTS), *sys.path])
     script = runpy.run_path(str(SCRIPTS / "aircraft_learning.py"))
-    figures, rng = script["Figures"](), np.random.default_rng(0)
-    script["exactness"](figures, 0)
-    script["bad_input"](figures, 0)
-    assert all(entry["holds"] for entry in figures.entries)
+    run = script["Run"](figures=script["Figures"](), seed=0, seeds=1, few=1)
+    script["exactness"](run)
+    script["bad_input"](run)
+    assert all(entry["holds"] for entry in run.figures.entries)
     study = script["aircraft"].case(1)
-    script["worst"](figures, "case1", study, 1, rng, 100.0)
-    assert figures.entries[-1]["holds"]
-    learned = script["learn"](study.setup, script["aircraft"].experiment(study, rng), experiments=3)
+    script["worst"](run, "case1", study, 100.0)
+    assert run.figures.entries[-1]["holds"]
+    learned = script["learn"](
+        study.setup, script["aircraft"].experiment(study, run.rng), experiments=3
+    )
     script["aircraft"].convergence(tmp_path / "c.html", {"case 1": (study, learned)})
     assert "case 1" in (tmp_path / "c.html").read_text(encoding="utf-8")

@@ -294,7 +294,7 @@ def test_specifications(spec, excitation):
         (
             "prbs:stages=5",
             "The excitation 'prbs' does not exist. Available: mseq, noise, lowpass, multisine, "
-            "chirp, step.",
+            "chirp, step, ramp, levels, pulses.",
         ),
         (
             "mseq:stage=5",

@@ -78,6 +78,18 @@ def multisine(
     return _unit(total)
 
 
+def sweep(
+    samples: int, period: float, band: tuple[float, float], rng: np.random.Generator
+) -> Array:
+    """Sine whose frequency rises or falls evenly over log frequency, of unit rms (samples,)."""
+    share = np.arange(samples) / samples
+    if rng.random() < 0.5:
+        share = 1.0 - share
+    frequency = band[0] * (band[1] / band[0]) ** share
+    phase = 2.0 * np.pi * period * np.cumsum(frequency) + rng.uniform(0.0, 2.0 * np.pi)
+    return _unit(np.sin(phase))
+
+
 def _unit(signal: Array) -> Array:
     scaled: Array = signal / np.sqrt(np.mean(signal**2))
     return scaled
@@ -93,12 +105,16 @@ def excitation(
     rms: float,
     rng: np.random.Generator,
 ) -> Array:
-    """A signal of this kind (``m_sequence`` or ``multisine``) and rms, quiet at its very start."""
+    """A signal of this kind (``m_sequence``, ``multisine`` or ``sweep``) and rms, quiet at its very start."""
     if kind == "m_sequence":
         signal = biphase(samples, period, half, rng)
     elif kind == "multisine":
         signal = multisine(samples, period, band, rng)
+    elif kind == "sweep":
+        signal = sweep(samples, period, band, rng)
     else:
-        raise ValueError(f"Excitation {kind!r} does not exist. Available: m_sequence, multisine.")
+        raise ValueError(
+            f"Excitation {kind!r} does not exist. Available: m_sequence, multisine, sweep."
+        )
     signal[: round(QUIET / period)] = 0.0
     return rms * signal

@@ -1,12 +1,7 @@
-"""Truth by an integrator of its own: Runge-Kutta of order four with located events.
+"""Truth by an integrator of its own: a sampled rig, with a controller or without.
 
-    J_i q_i'' = -w_i sin q_i + load_i + a_i sin(q_i + p_i) + b_i sin(n_i q_i + r_i) + motor
-                + sum_e c_ei f_e(x_e, v_e),        x_e = c_e . q,  v_e = c_e . q'
-
-The elements e are the joints themselves followed by the tendon. Everything that jumps (Coulomb
-friction, the edge of a gap, a threshold of speed) is a discrete mode, frozen during a step; the
-instant at which a mode ends is bisected, the step is cut there and the mode changed. So friction
-sticks exactly and the order stays four. The step is also cut where the input jumps, delayed or not.
+The steps are those of :mod:`tests.truth.events`: Runge-Kutta of order four with located events, cut
+besides where the input jumps, delayed or not.
 
 Nothing here knows MuJoCo or physid: two programs that agree have not made the same mistake.
 """
@@ -14,276 +9,86 @@ Nothing here knows MuJoCo or physid: two programs that agree have not made the s
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .laws import along, compiled, free_torque, holding_force, mobility, shaped, sliding_force
+from .events import advance, ended, enter
+from .laws import along, compiled, shaped
 from .plants import (
+    ACTED,
+    ACTS,
     CHANGE,
     CHANGE_TIME,
     CHANGED,
-    DAMPING,
     DELAY,
-    FREE,
     FRICTION,
-    GAP,
-    INERTIA,
     LAG,
-    ROW,
     RUB,
-    STATIC_DOWN,
-    STATIC_UP,
-    SWITCH,
-    SWITCH_FACTOR,
-    SWITCH_SPEED,
-    SWITCHED,
-    WENT,
-    WENT_TRAVEL,
     Array,
     Plant,
     packed,
 )
 
-EVENTS_PER_STEP = 40
-BISECTIONS = 50
-
 
 @compiled
-def _derivative(
-    joints: Any, elements: Any, whole: Any, state: Any, u: float, modes: Any, torque: Any, rate: Any
+def _driven(
+    joints: Any, whole: Any, actuation: Any, plain: Any, shaped_input: float, drive: Any
 ) -> None:
-    """Time derivative of (q, v, actuator, hysteresis), into ``rate`` (2 n + 2,)."""
-    n = joints.shape[0]
-    free_torque(joints, elements, whole, state, u, modes, torque)
-    e = int(whole[RUB])
-    if e >= 0:
-        side = modes[FRICTION]
-        if side == 0:
-            force = holding_force(joints, elements, e, torque)
-        else:
-            force = -side * sliding_force(whole, side, along(elements, e, state, n, n))
-        for i in range(n):
-            torque[i] += elements[e, ROW + i] * force
-    if abs(modes[SWITCH]) == 2:
-        e = int(whole[SWITCHED])
-        force = holding_force(joints, elements, e, torque)
-        for i in range(n):
-            torque[i] += elements[e, ROW + i] * force
+    """Torques of the inputs, into ``drive`` (n + 1,); the last entry is what a lag follows."""
+    n, acted = joints.shape[0], int(whole[ACTED])
     for i in range(n):
-        rate[i] = state[n + i]
-        rate[n + i] = torque[i] / joints[i, INERTIA]
-    rate[2 * n] = (u - state[2 * n]) / whole[LAG] if whole[LAG] > 0.0 else 0.0
-    rate[2 * n + 1] = 0.0
-    if whole[WENT] >= 0:
-        v, z = along(elements, int(whole[WENT]), state, n, n), state[2 * n + 1]
-        rate[2 * n + 1] = (v - 0.5 * abs(v) * z * abs(z) - 0.5 * v * z * z) / whole[WENT_TRAVEL]
+        drive[i] = 0.0
+        for k in range(plain.size):
+            if k != acted:
+                drive[i] += actuation[k, i] * plain[k]
+        if not whole[LAG] > 0.0:
+            drive[i] += joints[i, ACTS] * shaped_input
+    drive[n] = shaped_input
 
 
 @compiled
-def _step(
-    joints: Any,
-    elements: Any,
-    whole: Any,
-    state: Any,
-    u: float,
-    dt: float,
-    modes: Any,
-    work: Any,
-    torque: Any,
-    after: Any,
-) -> None:
-    """One classical Runge-Kutta step with frozen modes, into ``after``."""
-    size = state.size
-    _derivative(joints, elements, whole, state, u, modes, torque, work[0])
-    for stage in range(1, 4):
-        reach = dt if stage == 3 else 0.5 * dt
-        for j in range(size):
-            work[4, j] = state[j] + reach * work[stage - 1, j]
-        _derivative(joints, elements, whole, work[4], u, modes, torque, work[stage])
-    for j in range(size):
-        slope = work[0, j] + 2.0 * work[1, j] + 2.0 * work[2, j] + work[3, j]
-        after[j] = state[j] + dt / 6.0 * slope
-
-
-@compiled
-def _gap_side(elements: Any, state: Any, n: int) -> int:
-    """-1, 0, 1: below, inside, above the gap (of the one element that has one)."""
-    for e in range(elements.shape[0]):
-        if elements[e, FREE] > 0.0:
-            x = along(elements, e, state, 0, n)
-            if abs(x) > 0.5 * elements[e, FREE]:
-                return 1 if x > 0.0 else -1
-    return 0
-
-
-@compiled
-def _switch_side(elements: Any, whole: Any, state: Any, n: int) -> int:
-    """-1, 0, 1: the speed is below -threshold, within, above."""
-    if whole[SWITCHED] < 0:
-        return 0
-    v = along(elements, int(whole[SWITCHED]), state, n, n)
-    if abs(v) > whole[SWITCH_SPEED]:
-        return 1 if v > 0.0 else -1
-    return 0
-
-
-@compiled
-def _rides(
-    joints: Any, elements: Any, whole: Any, state: Any, u: float, side: int, modes: Any, torque: Any
-) -> int:
-    """At the threshold on this side: 0 to fall below it, 1 to go beyond, 2 to stay on it.
-
-    It stays where the lower damping would let it pass and the higher one would bring it back:
-    the force that keeps its speed then lies between the two (Filippov's solution).
-    """
-    before = modes[SWITCH]
-    modes[SWITCH] = 2 * side
-    free_torque(joints, elements, whole, state, u, modes, torque)
-    modes[SWITCH] = before
-    e = int(whole[SWITCHED])
-    needed = -side * holding_force(joints, elements, e, torque)
-    lower = elements[e, DAMPING] * whole[SWITCH_SPEED]
-    if needed < lower:
-        return 0
-    return 2 if needed < lower * whole[SWITCH_FACTOR] else 1
-
-
-@compiled
-def _slips(
-    joints: Any, elements: Any, whole: Any, state: Any, u: float, modes: Any, torque: Any
-) -> int:
-    """The side to which an element at rest starts to slide, 0 if friction holds it."""
-    free_torque(joints, elements, whole, state, u, modes, torque)
-    force = holding_force(joints, elements, int(whole[RUB]), torque)
-    if force < -whole[STATIC_UP]:
-        return 1
-    if force > whole[STATIC_DOWN]:
-        return -1
-    return 0
-
-
-@compiled
-def _ended(
-    joints: Any, elements: Any, whole: Any, state: Any, u: float, modes: Any, torque: Any
-) -> bool:
-    """Whether one of the modes no longer holds in this state."""
-    n = joints.shape[0]
-    if _gap_side(elements, state, n) != modes[GAP]:
-        return True
-    if abs(modes[SWITCH]) == 2:
-        side = modes[SWITCH] // 2
-        if _rides(joints, elements, whole, state, u, side, modes, torque) != 2:
-            return True
-    elif _switch_side(elements, whole, state, n) != modes[SWITCH]:
-        return True
-    e = int(whole[RUB])
-    if e < 0:
-        return False
-    if modes[FRICTION] == 0:
-        return _slips(joints, elements, whole, state, u, modes, torque) != 0
-    return bool(modes[FRICTION] * along(elements, e, state, n, n) < 0.0)
-
-
-@compiled
-def _enter_switch(
-    joints: Any, elements: Any, whole: Any, state: Any, u: float, modes: Any, torque: Any
-) -> None:
-    """Set the mode of the switched damper; what stays on the threshold is set onto it exactly."""
-    n, old = joints.shape[0], modes[SWITCH]
-    new = _switch_side(elements, whole, state, n)
-    side = old if abs(old) == 1 else (new if old == 0 else old // 2)
-    met = old != new and abs(old - new) == 1
-    if whole[SWITCHED] < 0 or whole[SWITCH_FACTOR] <= 1.0 or not (met or abs(old) == 2):
-        modes[SWITCH] = new
-        return
-    found = _rides(joints, elements, whole, state, u, side, modes, torque)
-    modes[SWITCH] = side * found
-    if found == 2:
-        e = int(whole[SWITCHED])
-        excess = along(elements, e, state, n, n) - side * whole[SWITCH_SPEED]
-        for i in range(n):
-            share = elements[e, ROW + i] / joints[i, INERTIA] / mobility(joints, elements, e)
-            state[n + i] -= excess * share
-
-
-@compiled
-def _enter(
-    joints: Any, elements: Any, whole: Any, state: Any, u: float, modes: Any, torque: Any
-) -> None:
-    """Set the modes that hold from this state on; what friction has stopped is set to rest."""
-    n, e = joints.shape[0], int(whole[RUB])
-    modes[GAP] = _gap_side(elements, state, n)
-    _enter_switch(joints, elements, whole, state, u, modes, torque)
-    if e < 0:
-        return
-    v = along(elements, e, state, n, n)
-    if modes[FRICTION] != 0:
-        if modes[FRICTION] * v >= 0.0:
-            return
-        impulse = -v / mobility(joints, elements, e)
-        for i in range(n):
-            state[n + i] += elements[e, ROW + i] * impulse / joints[i, INERTIA]
-    modes[FRICTION] = _slips(joints, elements, whole, state, u, modes, torque)
-
-
-@compiled
-def _advance(
-    joints: Any,
-    elements: Any,
-    whole: Any,
-    state: Any,
-    u: float,
-    dt: float,
-    modes: Any,
-    work: Any,
-    torque: Any,
-    after: Any,
-) -> None:
-    """Advance ``state`` by dt, cutting the step at every change of mode."""
-    left = dt
-    for _ in range(EVENTS_PER_STEP):
-        _step(joints, elements, whole, state, u, left, modes, work, torque, after)
-        if not _ended(joints, elements, whole, after, u, modes, torque):
-            state[:] = after
-            return
-        low, high = 0.0, 1.0
-        for _ in range(BISECTIONS):
-            middle = 0.5 * (low + high)
-            _step(joints, elements, whole, state, u, middle * left, modes, work, torque, after)
-            if _ended(joints, elements, whole, after, u, modes, torque):
-                high = middle
-            else:
-                low = middle
-        _step(joints, elements, whole, state, u, high * left, modes, work, torque, after)
-        state[:] = after
-        left *= 1.0 - high
-        _enter(joints, elements, whole, state, u, modes, torque)
-        if left <= 0.0:
-            return
-    _step(joints, elements, whole, state, u, left, modes, work, torque, after)
-    state[:] = after
+def _feed_back(observed: Any, gain: Any, noise: Any, state: Any, inputs: Any) -> None:
+    """Subtract what the controller makes of its readings from the inputs (nu,)."""
+    for j in range(observed.shape[0]):
+        reading = noise[j]
+        for m in range(observed.shape[1]):
+            reading += observed[j, m] * state[m]
+        for i in range(inputs.size):
+            inputs[i] -= gain[i, j] * reading
 
 
 @compiled
 def _run(
-    joints: Any, elements: Any, whole: Any, inputs: Any, period: float, start: Any, substeps: int
+    joints: Any,
+    elements: Any,
+    whole: Any,
+    actuation: Any,
+    inputs: Any,
+    observed: Any,
+    gain: Any,
+    noise: Any,
+    period: float,
+    start: Any,
+    substeps: int,
 ) -> Any:
-    """States (N, 2 n + 2) at the sampling instants."""
-    count, n = inputs.size, joints.shape[0]
+    """States (N, 2 n + 3) at the sampling instants; ``inputs`` (N, nu) become those that acted."""
+    count, n = inputs.shape[0], joints.shape[0]
     states = np.empty((count, start.size))
     state, after = start.copy(), np.empty(start.size)
-    work, torque = np.empty((5, start.size)), np.empty(n)
+    work, torque, drive = np.empty((5, start.size)), np.empty(n), np.zeros(n + 1)
     modes = np.zeros(4, dtype=np.int64)
+    acted = int(whole[ACTED])
     late = math.floor(whole[DELAY] / period + 1e-9)
     rest = max(whole[DELAY] - late * period, 0.0)
     if whole[RUB] >= 0:
         modes[FRICTION] = int(np.sign(along(elements, int(whole[RUB]), state, n, n)))
-    _enter(joints, elements, whole, state, 0.0, modes, torque)
+    enter(joints, elements, whole, state, drive, modes, torque)
     cuts = np.empty(4)
     for k in range(count):
         states[k] = state
+        _feed_back(observed, gain, noise[k], state, inputs[k])
         jump = whole[CHANGE_TIME] - k * period if whole[CHANGE] >= 0 else math.inf
         cuts[:] = period
         cuts[0] = 0.0
@@ -297,16 +102,86 @@ def _run(
                 continue
             middle = cuts[piece] + 0.5 * width
             index = k - late - (1 if middle < rest else 0)
-            u = shaped(whole, inputs[index]) if index >= 0 else 0.0
+            u = shaped(whole, inputs[index, acted]) if index >= 0 else 0.0
+            _driven(joints, whole, actuation, inputs[k], u, drive)
             modes[CHANGED] = 1 if middle >= jump else 0
-            if _ended(joints, elements, whole, state, u, modes, torque):
-                _enter(joints, elements, whole, state, u, modes, torque)
+            if ended(joints, elements, whole, state, drive, modes, torque):
+                enter(joints, elements, whole, state, drive, modes, torque)
             steps = math.ceil(substeps * width / period - 1e-9)
             for _ in range(steps):
-                _advance(
-                    joints, elements, whole, state, u, width / steps, modes, work, torque, after
+                advance(
+                    joints, elements, whole, state, drive, width / steps, modes, work, torque, after
                 )
     return states
+
+
+class Loop(NamedTuple):
+    """A controller with sensors of its own: u = r - gain (observed (q, v) + noise)."""
+
+    observed: Array  # (ny, 2 n)
+    gain: Array  # (nu, ny)
+    noise: Array  # (N, ny)
+
+
+def simulate_loop(
+    plant: Plant,
+    reference: ArrayLike,
+    period: float,
+    position: ArrayLike,
+    speed: ArrayLike,
+    loop: Loop | None = None,
+    *,
+    substeps: int = 20,
+) -> tuple[Array, Array, Array]:
+    """Simulate a plant whose inputs are held over each sampling period, with a controller or without.
+
+    Parameters
+    ----------
+    plant : Plant
+        Equations of motion, SI.
+    reference : array_like, shape (N, nu)
+        Inputs, or what a controller adds to its own.
+    period : float
+        Sampling period in s.
+    position, speed : array_like, shape (n,)
+        Initial state. Actuator and hysteresis start at rest.
+    loop : Loop, optional
+        The controller.
+    substeps : int
+        Integration steps in a sampling period.
+
+    Returns
+    -------
+    position, speed, inputs : ndarray, shapes (N, n), (N, n), (N, nu)
+        At the sampling instants, the first one the initial state; the inputs that acted.
+
+    Raises
+    ------
+    ValueError
+        If the gap sits on more than one element: one mode is kept for it.
+    """
+    if np.count_nonzero(plant.gap) > 1:
+        raise ValueError("A plant may have one gap; this one has several.")
+    n = plant.inertia.size
+    start = np.zeros(2 * n + 3)
+    start[:n], start[n : 2 * n] = position, speed
+    inputs = np.array(reference, dtype=np.float64)
+    if loop is None:
+        loop = Loop(
+            np.zeros((0, 2 * n)), np.zeros((inputs.shape[1], 0)), np.zeros((len(inputs), 0))
+        )
+    states: Array = _run(
+        *packed(plant),
+        np.ascontiguousarray(plant.actuation),
+        inputs,
+        np.ascontiguousarray(loop.observed),
+        np.ascontiguousarray(loop.gain),
+        np.ascontiguousarray(loop.noise),
+        float(period),
+        start,
+        int(substeps),
+    )
+    return states[:, :n].copy(), states[:, n : 2 * n].copy(), inputs
 
 
 def simulate(
@@ -318,36 +193,7 @@ def simulate(
     *,
     substeps: int = 20,
 ) -> tuple[Array, Array]:
-    """Simulate a plant whose input is held over each sampling period.
-
-    Parameters
-    ----------
-    plant : Plant
-        Equations of motion, SI.
-    inputs : array_like, shape (N,)
-        Input from each sampling instant to the next; it was zero before the first.
-    period : float
-        Sampling period in s.
-    position, speed : array_like, shape (n,)
-        Initial state in rad and rad/s. Actuator and hysteresis start at rest.
-    substeps : int
-        Integration steps in a sampling period.
-
-    Returns
-    -------
-    position, speed : ndarray, shape (N, n)
-        At the sampling instants, the first one the initial state.
-
-    Raises
-    ------
-    ValueError
-        If the gap sits on more than one element: one mode is kept for it.
-    """
-    if np.count_nonzero(plant.gap) > 1:
-        raise ValueError("A plant may have one gap; this one has several.")
-    n = plant.inertia.size
-    start = np.zeros(2 * n + 2)
-    start[:n], start[n : 2 * n] = position, speed
-    held = np.ascontiguousarray(inputs, dtype=np.float64)
-    states: Array = _run(*packed(plant), held, float(period), start, int(substeps))
-    return states[:, :n].copy(), states[:, n : 2 * n].copy()
+    """Simulate a plant with one input (N,) in the open; see :func:`simulate_loop`."""
+    column = np.asarray(inputs, dtype=np.float64)[:, None]
+    found = simulate_loop(plant, column, period, position, speed, substeps=substeps)
+    return found[0], found[1]

@@ -8,6 +8,7 @@ from typing import Any
 from numba import njit
 
 from .plants import (
+    ACTS,
     CHANGE,
     CHANGE_FACTOR,
     CHANGED,
@@ -19,13 +20,19 @@ from .plants import (
     DRAG,
     FREE,
     GAP,
-    GEAR,
     HELD,
-    INERTIA,
     LAG,
     LIMIT,
     LOAD,
+    MASS,
+    ODD,
+    ODD_LAW,
+    ODD_RATE,
+    ODD_SIZE,
     OFFSET,
+    ROLLED,
+    ROLLING,
+    ROLLS,
     ROW,
     RUB_DOWN,
     RUB_UP,
@@ -68,8 +75,18 @@ def sliding_force(whole: Any, side: int, speed: float) -> Any:
 
 
 @compiled
+def odd_force(whole: Any, x: float, v: float, t: float) -> Any:
+    """Force of a law that no catalogue has."""
+    if whole[ODD_LAW] == 0:
+        return -whole[ODD_SIZE] * x * x * v
+    if whole[ODD_LAW] == 1:
+        return -whole[ODD_SIZE] * x * x
+    return -whole[ODD_SIZE] * math.sin(whole[ODD_RATE] * t) * x
+
+
+@compiled
 def element_force(
-    element: Any, whole: Any, e: int, x: float, v: float, z: float, modes: Any
+    element: Any, whole: Any, e: int, x: float, v: float, z: float, t: float, modes: Any
 ) -> Any:
     """Force of spring, damper, drag and hysteresis of element e."""
     k, d = element[STIFFNESS], element[DAMPING]
@@ -86,6 +103,8 @@ def element_force(
     force = -k * stretch - element[CUBIC] * x * x * x - d * v - element[DRAG] * v * abs(v)
     if e == whole[WENT]:
         force -= whole[WENT_FORCE] * z
+    if e == whole[ODD]:
+        force += odd_force(whole, x, v, t)
     return force
 
 
@@ -103,19 +122,58 @@ def joint_torque(joint: Any, q: float) -> Any:
 
 
 @compiled
+def turn(joints: Any, whole: Any, state: Any) -> None:
+    """Bring the inverse mass matrix to this position, where a pendulum rides on a cart."""
+    n, i, j = joints.shape[0], int(whole[ROLLS]), int(whole[ROLLED])
+    if i < 0:
+        return
+    first, last = joints[i, MASS + i], joints[j, MASS + j]
+    both = whole[ROLLING] * math.cos(state[j])
+    size = first * last - both * both
+    joints[i, MASS + n + i], joints[j, MASS + n + j] = last / size, first / size
+    joints[i, MASS + n + j] = joints[j, MASS + n + i] = -both / size
+
+
+@compiled
 def free_torque(
-    joints: Any, elements: Any, whole: Any, state: Any, u: float, modes: Any, torque: Any
+    joints: Any, elements: Any, whole: Any, state: Any, drive: Any, modes: Any, torque: Any
 ) -> None:
-    """Every torque but friction's, into ``torque`` (n,)."""
+    """Every torque but friction's, into ``torque`` (n,); ``drive`` (n + 1,) as ``_driven`` gives it."""
     n = joints.shape[0]
+    turn(joints, whole, state)
     for i in range(n):
-        torque[i] = joint_torque(joints[i], state[i])
-    torque[0] += whole[GEAR] * (state[2 * n] if whole[LAG] > 0.0 else u)
+        torque[i] = joint_torque(joints[i], state[i]) + drive[i]
+        if whole[LAG] > 0.0:
+            torque[i] += joints[i, ACTS] * state[2 * n]
+        for j in range(2 * n):
+            torque[i] -= joints[i, MASS + 2 * n + j] * state[j]
+    if whole[ROLLS] >= 0:
+        j = int(whole[ROLLED])
+        torque[int(whole[ROLLS])] += whole[ROLLING] * math.sin(state[j]) * state[n + j] ** 2
     for e in range(elements.shape[0]):
         x, v = along(elements, e, state, 0, n), along(elements, e, state, n, n)
-        force = element_force(elements[e], whole, e, x, v, state[2 * n + 1], modes)
+        z, t = state[2 * n + 1], state[2 * n + 2]
+        force = element_force(elements[e], whole, e, x, v, z, t, modes)
         for i in range(n):
             torque[i] += elements[e, ROW + i] * force
+
+
+@compiled
+def acceleration(joints: Any, torque: Any, i: int) -> Any:
+    """Acceleration of joint i under torques (n,)."""
+    n, total = joints.shape[0], 0.0
+    for j in range(n):
+        total += joints[i, MASS + n + j] * torque[j]
+    return total
+
+
+@compiled
+def yielding(joints: Any, elements: Any, e: int, i: int) -> Any:
+    """Acceleration of joint i per unit of element e's force."""
+    n, total = joints.shape[0], 0.0
+    for j in range(n):
+        total += joints[i, MASS + n + j] * elements[e, ROW + j]
+    return total
 
 
 @compiled
@@ -123,17 +181,17 @@ def mobility(joints: Any, elements: Any, e: int) -> Any:
     """Acceleration of element e per unit of its own force: c M^-1 c'."""
     total = 0.0
     for i in range(joints.shape[0]):
-        total += elements[e, ROW + i] ** 2 / joints[i, INERTIA]
+        total += elements[e, ROW + i] * yielding(joints, elements, e, i)
     return total
 
 
 @compiled
 def holding_force(joints: Any, elements: Any, e: int, torque: Any) -> Any:
     """The friction force that keeps the element at its speed, given all the other torques."""
-    acceleration = 0.0
+    total = 0.0
     for i in range(joints.shape[0]):
-        acceleration += elements[e, ROW + i] * torque[i] / joints[i, INERTIA]
-    return -acceleration / mobility(joints, elements, e)
+        total += elements[e, ROW + i] * acceleration(joints, torque, i)
+    return -total / mobility(joints, elements, e)
 
 
 @compiled

@@ -6,10 +6,18 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from .hidden import with_effect
-from .integrator import simulate
-from .plants import bare_plant
-from .rigs import ARM_LENGTH, GRAVITY, PENDULUM_SERVO, RIGS, ROTOR_INERTIA, TWO_INERTIA, plant
+from tests.truth.hidden import with_effect
+from tests.truth.integrator import simulate
+from tests.truth.plants import bare_plant
+from tests.truth.rigs import (
+    ARM_LENGTH,
+    GRAVITY,
+    PENDULUM_SERVO,
+    RIGS,
+    ROTOR_INERTIA,
+    TWO_INERTIA,
+    plant,
+)
 
 PERIOD = 1e-3
 

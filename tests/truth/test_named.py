@@ -1,4 +1,4 @@
-"""A small part of the hidden-effect bank, for real: the whole of it is scripts/hidden_effect_bank.py."""
+"""A small part of the hidden-effect bank, for real: the benchmark is scripts/hidden_effects.py."""
 
 from __future__ import annotations
 

@@ -7,11 +7,11 @@ import json
 import numpy as np
 import pytest
 
-from . import bank
-from .baseline import best_without
-from .hidden import BANK, KINDS
-from .integrator import simulate
-from .rigs import RIGS, draw_nominal, draw_truth, mjcf, plant
+from tests.truth import bank
+from tests.truth.baseline import best_without
+from tests.truth.hidden import BANK, KINDS
+from tests.truth.integrator import simulate
+from tests.truth.rigs import RIGS, draw_nominal, draw_truth, mjcf, plant
 
 SHORT = (2.0, 2.5)
 
