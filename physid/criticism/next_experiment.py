@@ -1,7 +1,7 @@
 """The next experiment of a diagnosis: what to run so that a set or a weak verdict is decided.
 
-Who the rivals are, the plan that :mod:`physid.criticism.planning` finds for them, and the sentence, the
-input record and the curves that a result carries.
+Here is what a result carries of it: the sentence, the input record and the curves of the plan that
+:mod:`physid.criticism.planning` finds for the rivals of :mod:`physid.criticism.doubt`.
 """
 
 from __future__ import annotations
@@ -14,26 +14,18 @@ from typing import Any
 import numpy as np
 
 from physid.criticism.account import finite, thin
-from physid.criticism.diagnosis import CHANCE, TOLD_APART, Candidate, Diagnosis, describe_sites
+from physid.criticism.diagnosis import Diagnosis, describe_sites
+from physid.criticism.doubt import rivals_in
 from physid.criticism.instead import free_motion_tells, sensor_that_tells, wider
 from physid.criticism.limits import limits_of
-from physid.criticism.merit import LEAST_GAIN
 from physid.criticism.planning import Found, Judged, Task, longest, plan_experiment
-from physid.criticism.separation import Rival, as_it_stands, rival_of
+from physid.criticism.separation import Rival
 from physid.errors import InputError
 from physid.identification.study import Study
 from physid.record import Record
 
 FILE = "next_experiment.csv"
 """Name of the input record in the folder of a result."""
-WEAK = 2.0
-"""A gain, or a lead over another candidate, below so many times the least makes a weak verdict."""
-NEARLY = 0.5
-"""... and so does one above this share of it, where nothing was named and the p-value is no clear one."""
-DOUBTED = 5.0
-"""A p-value within so many times that from which nothing is claimed, to either side, is no clear one."""
-MOST_RIVALS = 5
-"""Rivals of a set that are told apart at once."""
 FEWEST, MOST = 100, 1_000_000
 """Samples an experiment may have."""
 
@@ -61,47 +53,6 @@ def check_duration(study: Study) -> None:
             f"--duration {duration:g} s is no experiment at the records' sampling of {dt:g} s: give "
             f"{FEWEST * dt:g} to {MOST * dt:g} s."
         )
-
-
-def rivals_in(found: Diagnosis) -> tuple[list[Rival], float]:
-    """Return the explanations between which a diagnosis leaves doubt, and the margin that removes it.
-
-    They are the set that the records cannot tell apart.  Where the verdict is weak they are the best
-    candidate and those that come near it, or the model as it stands.  Without doubt there is none.
-    """
-    if found.verdict == "unexplained" or not found.candidates:
-        return [], TOLD_APART
-    best = found.candidates[0]
-    if found.verdict == "effect_missing":
-        alike = [found.candidates[k] for k in best.alike]
-        near = alike or [c for c in found.candidates[1:] if _comes_near(best, c)]
-        if near:
-            chosen = [best, *near][:MOST_RIVALS]
-            margin = TOLD_APART if alike else WEAK * TOLD_APART
-            return [rival_of(found.base, c.refit, c.score) for c in chosen], margin
-    if not _is_weak(found):
-        return [], TOLD_APART
-    return [rival_of(found.base, best.refit, best.score), as_it_stands(found.base)], (
-        WEAK * LEAST_GAIN
-    )
-
-
-def _comes_near(best: Candidate, other: Candidate) -> bool:
-    """Say whether a candidate is hardly told from the best one, and is not that one with more to it."""
-    if other.score - best.score >= WEAK * TOLD_APART:
-        return False
-    inner = {(p.effect.name, p.place) for p in best.refit.added}
-    outer = {(n, p.place) for p in other.refit.added for n in (p.effect.name, *p.effect.supersedes)}
-    return not inner <= outer
-
-
-def _is_weak(found: Diagnosis) -> bool:
-    best = found.candidates[0]
-    if found.verdict == "effect_missing":
-        return -best.score < WEAK * LEAST_GAIN or best.p_value > CHANCE / DOUBTED
-    return -best.score > LEAST_GAIN or (
-        -best.score > NEARLY * LEAST_GAIN and best.p_value < CHANCE * DOUBTED
-    )
 
 
 def next_experiment(study: Study, found: Diagnosis) -> Next:
@@ -149,6 +100,16 @@ class _Told:
         self.rivals, self.limits, self.margin = task.rivals, task.limits, task.margin
         self.names = [describe_sites(r.sites) or "the model as it stands" for r in self.rivals]
         self.pairs = list(combinations(range(len(self.rivals)), 2))
+        # How likely each is so far: the score is minus twice a log probability (Schwarz 1978).
+        scores = np.array([r.score for r in self.rivals])
+        likely = np.exp(-0.5 * (scores - scores.min()))
+        self.weights = likely / likely.sum()
+
+    def _chance(self) -> float:
+        """Return the probability that the true rival is told from every other that can be told from it."""
+        assert self.plans.best is not None
+        chances = np.where(self.plans.separable, self.plans.best.chances, 1.0)
+        return float(self.weights @ chances.min(axis=1))
 
     def as_dict(self) -> dict[str, Any]:
         """Return the JSON object, but for the signal."""
@@ -170,7 +131,7 @@ class _Told:
             ],
             "separation": min((r["separation"] for r in told), default=None),
             "needed": self.margin,
-            "probability": min((r["probability"] for r in told), default=None),
+            "probability": self._chance() if told else None,
             "pairs": rows,
             "limits": [li.as_dict() for li in (*self.limits.inputs, *self.limits.joints)],
             "tried": self.plans.tried,
@@ -184,7 +145,8 @@ class _Told:
         equal, instead = False, ""
         if best is not None:
             squares = finite(min(best.squares[i, j], best.squares[j, i]))
-            chance = finite(min(best.chances[i, j], best.chances[j, i]))
+            own = self.weights[[i, j]] / self.weights[[i, j]].sum()
+            chance = finite(float(own @ [best.chances[i, j], best.chances[j, i]]))
             if not separable:
                 equal, instead = self._instead(i, j)
         return {
@@ -206,7 +168,6 @@ class _Told:
         actuator = self.limits.inputs[best.plan.proposal.actuator].name
         known = sorted({k for r in told for k in r["between"]})
         several = len(known) > 2 and len(told) == len(known) * (len(known) - 1) // 2
-        chance = min(r["probability"] for r in told)
         what = (
             _listed([self.names[k] for k in known])
             if several or len(known) == 2
@@ -218,7 +179,7 @@ class _Told:
             f"Drive {actuator} with {best.plan.proposal.words}, for "
             f"{best.plan.proposal.duration:.3g} s in all from rest ({FILE}), and diagnose the old and "
             f"the new record together: {what} are then told apart with a probability of "
-            f"{_percent(chance)} (expected separation "
+            f"{_percent(self._chance())} (expected separation "
             f"{_size(min(r['separation'] for r in told))} in chi-square units, {self.margin:g} needed)."
         ]
 
