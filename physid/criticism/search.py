@@ -58,6 +58,8 @@ RIVAL, RIVAL_ON_ENGINE = 30.0, 3.0
 noise alone; at most half of what the model leaves.  The second where MuJoCo takes its time."""
 NEARLY = 0.01
 """... or this share of the squares that the model leaves: a step that takes so much leads somewhere."""
+SAME = 1.0
+"""Difference of the information criterion between two fits of one law."""
 NOISE_ALONE = 1.03
 """A residual within this factor leaves nothing for an effect that contains the one that left it; not
 asked for where MuJoCo simulates, whose friction leaves more than noise at any step."""
@@ -131,7 +133,8 @@ def search(
     if not partnered:
         return fits
     report("trying pairs", 0.7)
-    fits = _best_with_blocks(base, [*fits, *_pairs(base, fits, partnered, candidates)], scales)
+    pairs = _pairs(base, fits, partnered, candidates)
+    fits = _best_with_blocks(base, _with_siblings(base, [*fits, *pairs], scales), scales)
     if not fits or len(fits[0].added) < 2:
         return fits
     alone = without_partner(base, fits[0], scales)
@@ -212,23 +215,30 @@ def base_of(study: Study) -> Base:
 
 
 def _with_siblings(base: Base, fits: list[Refit], scales: dict[Place, Scales]) -> list[Refit]:
-    """Start effects that contain the best one from its fit as well: they can only be as good or better."""
+    """Start effects that contain the best fit from it as well: they can only be as good or better.
+
+    One effect that does as much as two takes their place.
+    """
     if not fits:
         return fits
-    best = min(fits, key=lambda f: score(base, f, ("short", "long")))
-    inner = best.fitted[0]
+    horizons = ("short", "long")
+    best = min(fits, key=lambda f: score(base, f, horizons))
+    inner, place = best.fitted, best.added[0].place
+    if any(p.place != place for p in inner):
+        return fits
     out = list(fits)
     for effect in effects_of(best.problem.model):
-        values = effect.contains(inner) if inner.place.kind in effect.kinds else None
+        values = effect.contains(inner) if place.kind in effect.kinds else None
         if values is None:
             continue
-        placed = Placed(effect, inner.place, values)
-        start = Start(
-            placed, start_of(best.problem, best.fits["long"].theta, base.problems["long"])
-        )
-        found = refit(base, base.problems["long"], [start], scales[inner.place], rank=best.rank)
-        if found is not None:
-            out.append(found)
+        theta = start_of(best.problem, best.fits["long"].theta, base.problems["long"])
+        start = Start(Placed(effect, place, values), theta)
+        found = refit(base, base.problems["long"], [start], scales[place], rank=best.rank)
+        if found is None:
+            continue
+        if len(inner) > 1 and score(base, found, horizons) < score(base, best, horizons) + SAME:
+            out = [f for f in out if f is not best]
+        out.append(found)
     return _better_of(out, base)
 
 

@@ -97,10 +97,16 @@ class AsymmetricFriction(Effect):
         add_friction_loss(spec, place, 0.5 * (forward + backward))
         add_passive_force(spec, place, self.name, -0.5 * (forward - backward), 0.0, 0.5 * np.pi)
 
-    def contains(self, inner: Placed) -> dict[str, float] | None:
-        if inner.effect.name != CoulombFriction.name:
+    def contains(self, inner: Sequence[Placed]) -> dict[str, float] | None:
+        names = [p.effect.name for p in inner]
+        if CoulombFriction.name not in names or not {*names} <= {*self.supersedes}:
             return None
-        return {"force_positive": inner.values["force"], "force_negative": inner.values["force"]}
+        mean = sum(p.values["force"] for p in inner if p.effect.name == CoulombFriction.name)
+        load = sum(p.values["force"] for p in inner if p.effect.name != CoulombFriction.name)
+        forward, backward = mean - load, mean + load
+        if min(forward, backward) < 0.0:
+            return None
+        return {"force_positive": forward, "force_negative": backward}
 
     def plausible(self, values: Mapping[str, float], scales: Scales) -> bool:
         forward, backward = values["force_positive"], values["force_negative"]

@@ -209,8 +209,11 @@ class Effect(ABC):
         """Say whether fitted values still are this effect, and do not imitate another."""
         return True
 
-    def contains(self, inner: Placed) -> dict[str, float] | None:
-        """Return this effect's values that equal another one, or None if it does not contain it."""
+    def contains(self, inner: Sequence[Placed]) -> dict[str, float] | None:
+        """Return the values at which it is the same as other effects at its place together.
+
+        None if it does not contain them.
+        """
         return None
 
     def start(self, trial: Trial, amplitudes: np.ndarray, scales: Scales) -> dict[str, float]:

@@ -245,11 +245,16 @@ def test_an_effect_replaces_what_it_contains_and_itself():
     assert model.parameter("coulomb_friction@slide.force").value == 0.7
 
 
-def test_asymmetric_friction_contains_coulomb_friction():
+def test_asymmetric_friction_contains_coulomb_friction_with_a_load():
     inner = Placed(effect_named("coulomb_friction"), Place("joint", "hinge"), {"force": 0.3})
     outer = effect_named("asymmetric_friction")
-    assert outer.contains(inner) == {"force_positive": 0.3, "force_negative": 0.3}
-    assert outer.contains(Placed(effect_named("constant_load"), inner.place, {"force": 1})) is None
+    load = Placed(effect_named("constant_load"), inner.place, {"force": 0.1})
+    assert outer.contains([inner]) == {"force_positive": 0.3, "force_negative": 0.3}
+    assert outer.contains([load, inner]) == pytest.approx(
+        {"force_positive": 0.2, "force_negative": 0.4}
+    )
+    assert outer.contains([inner, load.with_values({"force": 1.0})]) is None
+    assert outer.contains([load]) is None
     assert outer.plausible({"force_positive": 0.3, "force_negative": 0.1}, SCALES)
     assert not outer.plausible({"force_positive": 0.3, "force_negative": 0.3}, SCALES)
     assert text_of("cogging", "hinge", {"phase": 1.0}) == "cogging@hinge:phase=1.0"
