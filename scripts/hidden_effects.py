@@ -17,16 +17,11 @@ is not run again. With ``--out`` come a page and the table as Markdown.
 
 from __future__ import annotations
 
-import contextlib
 import json
-import multiprocessing
 import os
-import signal
 import sys
-import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -41,11 +36,10 @@ from rich.table import Table  # noqa: E402
 
 from tests.truth import marks, pictures  # noqa: E402
 from tests.truth.catalogue import EFFECTS  # noqa: E402
+from tests.truth.collecting import Line, collect, settled_seed  # noqa: E402
 from tests.truth.scoring import wilson  # noqa: E402
 from tests.truth.trials import COUNT, Trial, draw, make, write  # noqa: E402
 
-Line = dict[str, Any]
-Task = Callable[[int, int, Path], Line]
 SMALL, SMALL_RIGS = (0, 7, 10), ("oscillator",)
 """Numbers of the cases of a small run, and where they are: one hides nothing, two an effect."""
 
@@ -116,94 +110,6 @@ def single(seed: int, number: int, folder: Path, *, rigs: Sequence[str] = ()) ->
     return line
 
 
-@contextlib.contextmanager
-def at_most(seconds: float) -> Iterator[None]:
-    """Raise TimeoutError after so much processor time [s]."""
-
-    def stop(number: int, frame: object) -> None:
-        raise TimeoutError(f"it took more than {seconds:g} s of processor time")
-
-    former = signal.signal(signal.SIGPROF, stop)
-    signal.setitimer(signal.ITIMER_PROF, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_PROF, 0.0)
-        signal.signal(signal.SIGPROF, former)
-
-
-def run_one(task: Task, most: float, seed: int, number: int) -> Line:
-    """Run one case in a folder of its own; a failure is a line too."""
-    with tempfile.TemporaryDirectory() as folder:
-        try:
-            with at_most(most):
-                return task(seed, number, Path(folder))
-        except Exception as error:  # noqa: BLE001 - one case must not end the benchmark
-            reason = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
-            try:
-                line = marks.describe(draw(seed, number))
-            except Exception:  # noqa: BLE001 - it may be the drawing itself that failed
-                line = {"number": number, "case": f"{number:04d}", "kind": "undrawn", "noise": 0.0}
-                line |= {"rig": "", "truth": [], "missing": ""}
-            return line | {"error": reason, "reason": reason, "first": False}
-
-
-def run_all(task: Task, most: float, seed: int, todo: Sequence[int], jobs: int) -> Iterator[Line]:
-    """Run cases one after another, or each in a process of a pool."""
-    if jobs == 1:
-        yield from (run_one(task, most, seed, number) for number in todo)
-        return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=context) as pool:
-        for future in as_completed([pool.submit(run_one, task, most, seed, k) for k in todo]):
-            yield future.result()
-
-
-def finished(out: Path | None, kind: str) -> dict[int, Line]:
-    """Lines of earlier runs, of all machines, by number; a cut line or an error is run again."""
-    done: dict[int, Line] = {}
-    for path in sorted(out.glob(f"{kind}-*.jsonl")) if out is not None else ():
-        for text in path.read_text(encoding="utf-8").splitlines():
-            try:
-                line = json.loads(text)
-            except json.JSONDecodeError:
-                continue
-            if not line["error"] or line["number"] not in done:
-                done[line["number"]] = line
-    return done
-
-
-def retried(error: str | None) -> bool:
-    """Say whether a case that ended so is run again: not where it took too long."""
-    return error is not None and not error.startswith("TimeoutError")
-
-
-def collect(
-    task: Task,
-    kind: str,
-    seed: int,
-    wanted: Sequence[int],
-    jobs: int,
-    most: float,
-    out: Path | None,
-    said: Console,
-) -> list[Line]:
-    """Run what is not there yet of the wanted cases; return all lines that are there."""
-    done = finished(out, kind)
-    todo = [k for k in wanted if k not in done or retried(done[k]["error"])]
-    path = out / f"{kind}-{min(todo)}-{max(todo)}.jsonl" if out is not None and todo else None
-    if path is not None and path.exists() and not path.read_bytes().endswith(b"\n"):
-        path.write_bytes(path.read_bytes() + b"\n")  # a line was cut off
-    for line in run_all(task, most, seed, todo, jobs):
-        done[line["number"]] = line
-        if path is not None:
-            with path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(line, allow_nan=False) + "\n")
-        answer = line["error"] or line.get("reason") or "right"
-        said.print(f"{line['case']}: {answer}", markup=False, highlight=False)
-    return [done[k] for k in sorted(done)]
-
-
 def numbers(text: str) -> range:
     """Read ``A:B``, as slices of Python are."""
     first, colon, last = text.partition(":")
@@ -218,28 +124,6 @@ def numbers(text: str) -> range:
     return found
 
 
-def settled_seed(seed: int | None, out: Path | None) -> int:
-    """The seed asked for, that of the folder's earlier run, or one from the clock."""
-    kept = None if out is None else out / "seed.json"
-    if kept is not None and kept.exists():
-        earlier = int(json.loads(kept.read_text(encoding="utf-8"))["seed"])
-        if seed not in (None, earlier):
-            raise typer.BadParameter(f"{out} holds a benchmark of seed {earlier}, not {seed}.")
-        return earlier
-    chosen = time.time_ns() % 2**31 if seed is None else seed
-    if kept is not None:
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        kept.write_text(json.dumps({"seed": chosen}) + "\n", encoding="utf-8")
-    return chosen
-
-
-def searched() -> set[str]:
-    """Names of the effects that a diagnosis tries by itself."""
-    from physid.effects.catalogue import CATALOGUE
-
-    return {effect.name for effect in CATALOGUE if effect.searched}
-
-
 def confusion_table(lines: Sequence[Line]) -> Table:
     """Hidden effect against the answer, single effects."""
     table = Table("hidden", "answers", title="Hidden effect and answers")
@@ -249,15 +133,13 @@ def confusion_table(lines: Sequence[Line]) -> Table:
 
 
 def rates_table(lines: Sequence[Line]) -> Table:
-    """Rates with Wilson's intervals, then the first answer per noise and of what is searched."""
+    """Rates with Wilson's intervals, then the first answer per noise."""
     table = Table("rate", "of", "%", "95 % interval", title="Rates")
     rows = marks.rates(lines)
     one = [line for line in lines if line["kind"] == "one"]
     for noise in sorted({line["noise"] for line in one}):
         level = [line for line in one if line["noise"] == noise]
         rows.append((f"first at noise {noise:g}", sum(x["first"] for x in level), len(level)))
-    tried = [line for line in one if line["truth"][0].split("@")[0] in searched()]
-    rows.append(("first, of effects searched", sum(x["first"] for x in tried), len(tried)))
     for name, hits, trials in rows:
         low, high = wilson(hits, trials)
         share = f"{100 * hits / trials:.0f}" if trials else "-"
@@ -301,6 +183,22 @@ class Studied:
         task = again if number < self.repeated else study
         return task(seed, number, folder, rigs=self.rigs)
 
+    def describe(self, seed: int, number: int) -> Line:
+        """Say what the case of a number is."""
+        return marks.describe(draw(seed, number, self.rigs))
+
+
+class Tested:
+    """One effect tested where nothing is missing."""
+
+    def __call__(self, seed: int, number: int, folder: Path) -> Line:
+        """Test the effect of a number."""
+        return single(seed, number, folder)
+
+    def describe(self, seed: int, number: int) -> Line:
+        """Say what the case of a number is."""
+        return marks.describe(draw(seed, 20 * number))
+
 
 def main(
     seed: Annotated[int | None, typer.Option(help="Default: from the clock.")] = None,
@@ -320,7 +218,7 @@ def main(
     seed, rigs = settled_seed(seed, out), SMALL_RIGS if small else ()
     wanted = [] if calibrate else list(SMALL) if small else list(numbers(cases))
     lines = collect(Studied(rigs, repeat), "cases", seed, wanted, jobs, most, out, said)
-    tests = collect(single, "single", seed, range(calibrate), jobs, most, out, said)
+    tests = collect(Tested(), "single", seed, range(calibrate), jobs, most, out, said)
     p_values = [line["p"] for line in tests if not line["error"]]
     figures = marks.figures(lines, p_values)
     tables = [confusion_table(lines), rates_table(lines), misses_table(lines)]

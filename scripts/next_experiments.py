@@ -6,7 +6,7 @@ a weak verdict, its next_experiment is played on the truth (an integrator that s
 physid), with the same noise, and both records are diagnosed together.
 
     python scripts/next_experiments.py --small
-    python scripts/next_experiments.py --seed 1 --cases 60 --out decided
+    python scripts/next_experiments.py --seed 1 --cases 60 --jobs 2 --out decided
 
 With ``--out`` a run that was cut short goes on where it stopped.
 """
@@ -14,6 +14,7 @@ With ``--out`` a run that was cut short goes on where it stopped.
 from __future__ import annotations
 
 import json
+import os
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -21,18 +22,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ[_name] = "1"  # every case is a process of its own
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-import numpy as np
-import typer
-from hidden_effect_bank import Line, _fit, _physid, collect, settled_seed
-from rich.console import Console
-from rich.table import Table
+import numpy as np  # noqa: E402
+import typer  # noqa: E402
+from rich.console import Console  # noqa: E402
+from rich.table import Table  # noqa: E402
 
-from tests.truth import scoring
-from tests.truth.bank import Case, cases, make, write
-from tests.truth.playing import POOR, play, poor_input, with_noise
-from tests.truth.rigs import RIGS
+from tests.truth import scoring  # noqa: E402
+from tests.truth.bank import Case, cases, make, write  # noqa: E402
+from tests.truth.collecting import Line, collect, settled_seed  # noqa: E402
+from tests.truth.playing import POOR, play, poor_input, with_noise  # noqa: E402
+from tests.truth.rigs import RIGS  # noqa: E402
 
 NOISE = (0.01, 0.05)
 SECONDS = (3.0, 5.0)
@@ -41,7 +44,8 @@ BOUNDS: dict[str, tuple[str, float]] = {"decided": (">=", 0.9), "errors": ("<=",
 
 def study(case: Case, folder: Path, api: Any = None) -> Line:
     """Diagnose, and where that leaves doubt run what is proposed and diagnose again."""
-    api = _physid() if api is None else api
+    if api is None:
+        import physid as api
     rig, rng = RIGS[case.rig], np.random.default_rng([case.seed, 6])
     kind = POOR[case.seed % len(POOR)]
     write(make(case), folder)
@@ -49,7 +53,7 @@ def study(case: Case, folder: Path, api: Any = None) -> Line:
     level = {s: case.noise * min(float(np.std(clean[s])) for s in rig.sensors) for s in rig.sensors}
     model, old = folder / "model.xml", folder / "old.csv"
     save(old, with_noise(clean, level, case.seed))
-    call = {"fit": _fit(case), "seed": case.seed % 2**31}
+    call = {"fit": case.fit if case.fit == "auto" else list(case.fit), "seed": case.seed % 2**31}
     started = time.process_time()
     first = api.diagnose(model, [old], **call)
     used = time.process_time() - started
@@ -168,19 +172,39 @@ def planned(seed: int, small: bool, number: int | None) -> list[Case]:
     return [replace(case, noise=NOISE[k % len(NOISE)]) for k, case in enumerate(found)]
 
 
+class Doubted:
+    """A task on the cases of a run, which processes can be sent."""
+
+    def __init__(self, small: bool) -> None:
+        self.small = small
+
+    def __call__(self, seed: int, number: int, folder: Path) -> Line:
+        """Study the case of a number."""
+        case = planned(seed, self.small, None)[number]
+        line = self.describe(seed, number) | study(case, folder)
+        known = {None: "no experiment", True: "decided", False: "not decided"}
+        return line | {"reason": known[line.get("decided")] if line["doubt"] else "no doubt"}
+
+    def describe(self, seed: int, number: int) -> Line:
+        """Say what the case of a number is."""
+        case = planned(seed, self.small, None)[number]
+        return {"number": number, "case": case.name, "truth": _truth(case), "error": None}
+
+
 def main(
     seed: Annotated[int | None, typer.Option(help="Default: from the clock.")] = None,
     number: Annotated[int | None, typer.Option("--cases", help="Only the first so many.")] = None,
     small: Annotated[bool, typer.Option(help="Two short cases.")] = False,
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+    most: Annotated[float, typer.Option(help="Processor time of a case [s].")] = 600.0,
     out: Annotated[Path | None, typer.Option(help="Keep a line per case; go on there.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object alone.")] = False,
 ) -> None:
     """Run doubtful cases, their next experiments, and print what these decide."""
     shown, progress = Console(quiet=as_json), Console(stderr=True)
     seed = settled_seed(seed, out)
-    path = None if out is None else out / "next.jsonl"
-    lines = collect(study, planned(seed, small, number), jobs, path, progress)
+    wanted = range(len(planned(seed, small, number)))
+    lines = collect(Doubted(small), "next", seed, wanted, jobs, most, out, progress)
     shown.print(cases_table(lines), rates_table(lines))
     if as_json:
         rates = {name: {"hits": hits, "trials": n} for name, hits, n in figures(lines)}

@@ -72,7 +72,7 @@ def diagnose(
 
     with working(output) as run:
         result = physid.diagnose(study.source(), study.records, **options, **run)
-    record = getattr(result, "next_record", None)
+    record = result.next_record
     extra = {} if record is None else {record.path: lambda file: write_record(record, file)}
     deliver(result, output, extra=extra)
     if record is not None and output.out is None and not output.as_json:

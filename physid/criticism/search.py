@@ -58,8 +58,8 @@ RIVAL, RIVAL_ON_ENGINE = 30.0, 3.0
 noise alone; at most half of what the model leaves.  The second where MuJoCo takes its time."""
 NEARLY = 0.01
 """... or this share of the squares that the model leaves: a step that takes so much leads somewhere."""
-SAME = 1.0
-"""Difference of the information criterion between two fits of one law."""
+SAME = 10.0
+"""Difference of the information criterion within which two fits of one law end."""
 NOISE_ALONE = 1.03
 """A residual within this factor leaves nothing for an effect that contains the one that left it; not
 asked for where MuJoCo simulates, whose friction leaves more than noise at any step."""

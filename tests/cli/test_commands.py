@@ -40,6 +40,7 @@ class Result:
     content: dict
     curves: dict = field(default_factory=dict)
     xml: str = "<mujoco/>"
+    next_record: object = None
 
     def as_dict(self):
         return self.content

@@ -212,6 +212,7 @@ def _draw_cogging(rng: np.random.Generator, s: Scales) -> dict[str, float]:
     """At least one period of the ripple within the travel (about four times its rms)."""
     least = 2.0 * np.pi / (4.0 * s.travel)
     fitting = [n for n in (4, 6, 8, 12, 18, 24, 36, 48) if least <= n <= 6.0 * least]
+    fitting = fitting or [int(np.ceil(1.5 * least))]  # many poles on a shaft that hardly turns
     return {
         "amplitude": s.force * rng.uniform(0.1, 0.3),
         "periods": float(rng.choice(fitting)),

@@ -101,10 +101,12 @@ def _covered(trial: Trial, refinement: Json) -> dict[str, bool]:
     truth = {f"{h.site}.{name}": v for h in trial.hidden for name, v in h.parameters.items()}
     found = {}
     for row in refinement["parameters"]:
-        if row["name"] in truth:
-            hit = covers(row, truth[row["name"]])
+        effect, _, rest = row["name"].partition("@")
+        name = f"{effect}@{rest.rpartition(':')[2]}"
+        if name in truth:
+            hit = covers(row, truth[name])
             if hit is not None:
-                found[row["name"]] = hit
+                found[name] = hit
     return found
 
 

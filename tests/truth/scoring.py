@@ -11,8 +11,8 @@ LARGEST_SET = 3  # an answer that leaves more than so many possibilities open is
 
 
 def site(effect: Json) -> str:
-    """``EFFECT@LOCATION`` of an effect of a result."""
-    return f"{effect['effect']}@{effect['location']}"
+    """``EFFECT@LOCATION`` of an effect of a result, without the kind that tells places of one name."""
+    return f"{effect['effect']}@{effect['location'].rpartition(':')[2]}"
 
 
 def named(diagnosis: Json) -> str:

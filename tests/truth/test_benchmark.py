@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from tests.truth import marks
+from tests.truth import collecting, marks
 from tests.truth.catalogue import EFFECTS, Hidden, places, slot, with_hidden
 from tests.truth.chains import chain
 from tests.truth.machines import RIGS, plant_of, two_wheel_robot
@@ -231,17 +231,22 @@ class StandIn:
         return SimpleNamespace(as_dict=lambda: result)
 
 
-def test_a_case_that_takes_too_long_is_a_miss_that_is_not_tried_again(script):
-    def endless(seed, number, folder):
+class Endless:
+    def __call__(self, seed, number, folder):
         while True:
             pass
 
-    line = script.run_one(endless, 0.1, 5, 0)
+    def describe(self, seed, number):
+        return {"number": number, "error": None}
+
+
+def test_a_case_that_takes_too_long_is_a_miss_that_is_not_tried_again():
+    line = collecting.run_one(Endless(), 0.1, 5, 0)
     assert line["error"] == "TimeoutError: it took more than 0.1 s of processor time"
     assert not line["first"]
-    assert not script.retried(line["error"])
-    assert script.retried("RuntimeError: no convergence")
-    assert not script.retried(None)
+    assert not collecting.retried(line["error"])
+    assert collecting.retried("RuntimeError: no convergence")
+    assert not collecting.retried(None)
 
 
 def test_the_script_shares_goes_on_and_writes_its_page(script, tmp_path, monkeypatch):
