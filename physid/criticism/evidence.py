@@ -38,14 +38,15 @@ class Judgement:
 class Bench:
     """The base model on judging windows: its states fitted there, and what its parameters could explain.
 
-    ``point`` is the linearisation there, whose ``remaining`` (m,) is the residual with the windows' states
-    projected out; ``basis`` (m, k) spans what the base's parameters do.
+    ``point`` is the linearisation there, ``basis`` (m, k) spans what the base's parameters do, and
+    ``unexplained`` (m,) is the residual with the windows' states and those parameters projected out.
     """
 
     problem: Problem
     before: Estimate
     point: Linearisation
     basis: np.ndarray
+    unexplained: np.ndarray
 
 
 def benches(judging: Mapping[str, Problem], base: Base) -> dict[str, Bench]:
@@ -56,8 +57,13 @@ def benches(judging: Mapping[str, Problem], base: Base) -> dict[str, Bench]:
         with suppress(NumericsError):
             before = states_only(replace(problem, model=problem.at(theta)))
             point = linearise(problem, theta, before.states, before.residuals)
+            basis = orthonormal(point.projected)
             found[horizon] = Bench(
-                problem=problem, before=before, point=point, basis=orthonormal(point.projected)
+                problem=problem,
+                before=before,
+                point=point,
+                basis=basis,
+                unexplained=point.remaining - basis @ (basis.T @ point.remaining),
             )
     return found
 
@@ -67,8 +73,9 @@ def judge(judging: Mapping[str, Bench], candidate: Refit) -> Judgement:
 
     Both models keep the parameters fitted elsewhere; only initial states are estimated here.  The
     base's residual is regressed on the difference the candidate makes, with what the base's own
-    parameters could explain projected out of it; the regression's t-value uses a long-run variance
-    (Bartlett kernel), so coloured residuals do not feign significance.  The smallest p-value over the
+    parameters could explain projected out of both (Frisch, Waugh, Econometrica 1, 1933: what distorts
+    them would else pass for noise); the regression's t-value uses a long-run variance (Bartlett kernel),
+    so coloured residuals do not feign significance.  The smallest p-value over the
     horizons, times their number, is reported.  A horizon over which one of them diverges tells nothing.
     """
     p_values = []
@@ -108,7 +115,7 @@ def _compare(bench: Bench, candidate: Refit, horizon: str) -> tuple[Estimate, tu
     direction = difference - basis @ (basis.T @ difference)
     channels = len(bench.problem.sigma)
     fall = sum_of_squares(before) - sum_of_squares(after)
-    return after, (_t_value(direction, point.remaining, channels), _t_mean(fall))
+    return after, (_t_value(direction, bench.unexplained, channels), _t_mean(fall))
 
 
 def sum_of_squares(estimate: Estimate) -> np.ndarray:
