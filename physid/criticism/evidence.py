@@ -38,15 +38,14 @@ class Judgement:
 class Bench:
     """The base model on judging windows: its states fitted there, and what its parameters could explain.
 
-    ``point`` is the linearisation there, ``basis`` (m, k) spans what the base's parameters do, and
-    ``unexplained`` (m,) is the residual with the windows' states and those parameters projected out.
+    ``point`` is the linearisation there, whose ``remaining`` (m,) is the residual with the windows' states
+    projected out; ``basis`` (m, k) spans what the base's parameters do.
     """
 
     problem: Problem
     before: Estimate
     point: Linearisation
     basis: np.ndarray
-    unexplained: np.ndarray
 
 
 def benches(judging: Mapping[str, Problem], base: Base) -> dict[str, Bench]:
@@ -57,13 +56,8 @@ def benches(judging: Mapping[str, Problem], base: Base) -> dict[str, Bench]:
         with suppress(NumericsError):
             before = states_only(replace(problem, model=problem.at(theta)))
             point = linearise(problem, theta, before.states, before.residuals)
-            basis = orthonormal(point.projected)
             found[horizon] = Bench(
-                problem=problem,
-                before=before,
-                point=point,
-                basis=basis,
-                unexplained=point.remaining - basis @ (basis.T @ point.remaining),
+                problem=problem, before=before, point=point, basis=orthonormal(point.projected)
             )
     return found
 
@@ -106,16 +100,14 @@ def judge(judging: Mapping[str, Bench], candidate: Refit) -> Judgement:
 
 def _compare(bench: Bench, candidate: Refit, horizon: str) -> tuple[Estimate, tuple[float, float]]:
     """Return the candidate's fit of initial states on judging windows, and two t-values."""
-    before, point, basis = bench.before, bench.point, bench.basis
+    before, point = bench.before, bench.point
     model = candidate.problem.at(candidate.fits[horizon].theta)
     after = states_only(replace(candidate.problem, windows=bench.problem.windows, model=model))
     difference = point.without_states(
         [a - b for a, b in zip(before.residuals, after.residuals, strict=True)]
     )
-    direction = difference - basis @ (basis.T @ difference)
-    channels = len(bench.problem.sigma)
-    fall = sum_of_squares(before) - sum_of_squares(after)
-    return after, (_t_value(direction, bench.unexplained, channels), _t_mean(fall))
+    slope = t_value(difference, point.remaining, bench.basis, len(bench.problem.sigma))
+    return after, (slope, _t_mean(sum_of_squares(before) - sum_of_squares(after)))
 
 
 def sum_of_squares(estimate: Estimate) -> np.ndarray:
@@ -131,8 +123,26 @@ def _t_mean(series: np.ndarray) -> float:
     return float(series.sum() / np.sqrt(max(variance, 1e-300)))
 
 
-def _t_value(direction: np.ndarray, residual: np.ndarray, channels: int) -> float:
-    """Return the t-value of a regression of the residual on a direction, its errors coloured."""
+def t_value(
+    difference: np.ndarray, residual: np.ndarray, basis: np.ndarray, channels: int
+) -> float:
+    """Return the t-value of a regression of a residual on a difference, its errors coloured.
+
+    Parameters
+    ----------
+    difference, residual : ndarray, shape (m,)
+        Instant by instant, channel by channel.
+    basis : ndarray, shape (m, k)
+        Orthonormal; what it spans is regressed on as well.
+    channels : int
+
+    Returns
+    -------
+    float
+        Zero where the basis spans the difference.
+    """
+    direction = difference - basis @ (basis.T @ difference)
+    residual = residual - basis @ (basis.T @ residual)
     size = float(direction @ direction)
     if size <= 0:
         return 0.0
