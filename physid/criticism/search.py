@@ -55,7 +55,8 @@ FEW = 3
 """... where not even the best of them gains anything on windows."""
 RIVAL, RIVAL_ON_ENGINE = 30.0, 3.0
 """Mean squares over the noise's, after a first step, above which nothing rivals a candidate that leaves
-noise alone; at most half of what the model leaves.  The second where MuJoCo takes its time."""
+noise alone; at most halfway from noise to what the model leaves, and less than that by what is no
+chance.  The second where MuJoCo takes its time."""
 NEARLY = 0.01
 """... or this share of the squares that the model leaves: a step that takes so much leads somewhere."""
 SAME = 10.0
@@ -107,7 +108,9 @@ def search(
     scales = scales_of(long, base.fits["long"]) | {g.place: g.scales for g in groups}
     fits = led(base, leads, scales)
     rival = RIVAL if compiled(long) else RIVAL_ON_ENGINE
-    limit = min(max(rival * long.measurements(), NEARLY * worst), 0.5 * worst)
+    noise = float(long.measurements())
+    halfway = min(0.5 * (worst + noise), worst - LEAST_GAIN)
+    limit = min(max(rival * noise, NEARLY * worst), halfway)
     kept = windowed(study.problem, HORIZONS["long"], judging_spans)
     later: list[int] = []
     order = _cheapest_first(groups)

@@ -152,10 +152,6 @@ def test_lag_is_told_from_delay_at_high_noise(tmp_path):
     assert ["input_delay"] not in left
 
 
-@pytest.mark.xfail(
-    reason="the whole catalogue names a cogging or nothing where one amplitude and 5 % noise leave doubt",
-    strict=False,
-)
 @pytest.mark.parametrize(
     ("effect", "change", "noise"),
     [
