@@ -14,7 +14,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "check": "physid.criticism.checking",
     "compare": "physid.criticism.comparison",
-    "diagnose": "physid.criticism.refinement",
+    "diagnose": "physid.criticism.diagnosed",
     "fit": "physid.criticism.comparison",
     "learn": "physid.learning.learning",
     "load_effects": "physid.effects.catalogue",
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from physid.criticism.checking import check as check
     from physid.criticism.comparison import compare as compare
     from physid.criticism.comparison import fit as fit
-    from physid.criticism.refinement import diagnose as diagnose
+    from physid.criticism.diagnosed import diagnose as diagnose
     from physid.criticism.refinement import refine as refine
     from physid.criticism.simulating import simulate as simulate
     from physid.effects.catalogue import load_effects as load_effects

@@ -122,6 +122,16 @@ def diagnose_study(
     )
 
 
+def with_effects(study: Study, candidate: Candidate) -> Study:
+    """Return the study with a candidate's effects in its model, at the values fitted on long windows.
+
+    Those on whole stretches are nearer where they are right, but may be in a minimum of their own.
+    """
+    fit = candidate.refit
+    problem = fit.problem.with_windows(study.problem.windows)
+    return replace(study, problem=problem, theta=fit.fits["long"].theta, states=None)
+
+
 def candidate_rows(study: Study, found: Diagnosis) -> list[dict[str, Any]]:
     """Return the contract's ``candidates``, best first."""
     structure = study.model.structure

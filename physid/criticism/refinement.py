@@ -1,10 +1,9 @@
-"""``diagnose`` and ``refine``: name what is missing, add it, and watch the error fall."""
+"""``refine``: add what is missing, and watch the error fall."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -29,146 +28,31 @@ from physid.criticism.comparison import (
 from physid.criticism.diagnosis import (
     NAMED,
     NAMED_BESIDE,
-    Candidate,
     Diagnosis,
     candidate_rows,
     diagnose_study,
+    with_effects,
 )
 from physid.criticism.leads import read_leads
-from physid.criticism.limits import check_limits
 from physid.criticism.localisation import where
-from physid.criticism.next_experiment import Next, check_duration, next_experiment
 from physid.criticism.pictures import diagnosis_curves, tested_curves
 from physid.criticism.refit import start_of, with_candidate
-from physid.criticism.symptoms import symptoms_of
 from physid.effects.catalogue import load_model_text
-from physid.errors import NumericsError
 from physid.identification.accuracy import for_engine, with_substeps
 from physid.identification.estimate import Estimate
 from physid.identification.fitting import FAR_WORSE, Fitted, fit_study
 from physid.identification.output_error import minimise
 from physid.identification.problem import Problem
-from physid.identification.staged import compiled, states_only
+from physid.identification.staged import states_only
 from physid.identification.study import Options, Study, as_model, experiments_of, prepare
 from physid.identification.windows import whole
 from physid.plant.effect import Placed
 from physid.plant.model import Model
-from physid.record import Record
 
 EARNED = 0.8
 """Squares on the whole records must fall to this share (the error by a tenth) for an effect to stay."""
 MOST_ROUNDS = 4
 """Diagnoses in one refinement at most."""
-
-
-def diagnose(
-    model: Model | str | os.PathLike[str],
-    records: Sequence[object],
-    *,
-    evidence: Sequence[Mapping[str, Any]] = (),
-    **options: Any,
-) -> Diagnosed:
-    """Name the physical effect a model lacks, and where, with evidence; or that none is missing.
-
-    Parameters
-    ----------
-    model, records, **options
-        As for :func:`physid.fit`; ``limits`` (actuator or joint to lowest and highest value) and
-        ``duration`` [s] bound the next experiment.
-    evidence : sequence of mapping
-        Results of :func:`physid.monitor` (``as_dict()``), or of a fit by LMI: the effects they speak for
-        are tried too, from the values found there.
-
-    Returns
-    -------
-    Diagnosed
-        Schema ``physid.diagnosis/1``; ``.next_record`` is the next experiment's input record, if one is
-        proposed.
-    """
-    settings = Options(**options)
-    loaded = as_model(model)
-    check_limits(loaded, settings.limits)
-    leads = read_leads(loaded, evidence)
-    study = prepare(loaded, records, settings)
-    check_duration(study)
-    found = diagnose_study(study, span=(0.3, 0.85), leads=leads)
-    settings.report("finding where the model fails", 0.85)
-    base = _base_fit(study, found)
-    best = _best_fit(study, found) if found.candidates else None
-    lack = lack_of(base, best)
-    settings.report("planning the next experiment", 0.95)
-    planned = next_experiment(study, found)
-    return Diagnosed(
-        data=diagnosis_data(study, found, (base, best), lack, planned),
-        curves=diagnosis_curves(base, best, lack) | planned.curves,
-        model=base.model,
-        next_record=planned.record,
-    )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Diagnosed(Result):
-    """A diagnosis; ``next_record`` holds the inputs of the next experiment, None where none is proposed."""
-
-    next_record: Record | None = None
-
-
-def _base_fit(study: Study, found: Diagnosis) -> Fitted:
-    """Fit the model as it stands.
-
-    Where MuJoCo takes its time and something is missing anyhow, from where whole stretches led: the
-    fit is only what the model with the effect is held to.
-    """
-    slow = not compiled(study.problem)
-    if slow and found.verdict == "effect_missing" and "block" in found.base.fits:
-        with suppress(NumericsError):
-            near = replace(study, theta=found.base.fits["block"].theta)
-            return fit_study(near, from_windows=False)
-    return fit_study(study)
-
-
-def _best_fit(study: Study, found: Diagnosis) -> Fitted | None:
-    if found.verdict != "effect_missing":
-        return None
-    return fit_study(with_effects(study, found.candidates[0]), from_windows=False)
-
-
-def diagnosis_data(
-    study: Study,
-    found: Diagnosis,
-    fits: tuple[Fitted, Fitted | None],
-    lack: Lack,
-    planned: Next,
-) -> dict[str, Any]:
-    """Return the contract's JSON object of a diagnosis; ``fits`` are without and with what it names."""
-    base, best = fits
-    rows = channel_rows(base.problem, base.estimate)
-    named = found.candidates[0].refit.sites() if best is not None else ()
-    return {
-        "schema": "physid.diagnosis/1",
-        "verdict": found.verdict,
-        "sentence": found.sentence,
-        "channels": worst_channels(rows),
-        "records": record_rows(base.problem, rows, "train"),
-        "where": where(base.problem, base.estimate, list(lack.forces)),
-        "parameters": parameters_of(base),
-        "candidates": candidate_rows(study, found),
-        "symptoms": symptoms_of(base, best, named),
-        "next_experiment": planned.data,
-        "tried": found.tried,
-        "notes": [*study.notes, *base.notes, *found.notes],
-        "simulation": simulation_row(base.problem, base.integration_error, base.confirmed),
-    }
-
-
-def with_effects(study: Study, candidate: Candidate) -> Study:
-    """Return the study with a candidate's effects in its model, at the values fitted on long windows.
-
-    Those on whole stretches are nearer where they are right, but may be in a minimum of their own.
-    """
-    fit = candidate.refit
-    problem = fit.problem.with_windows(study.problem.windows)
-    return replace(study, problem=problem, theta=fit.fits["long"].theta, states=None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -201,7 +85,7 @@ def refine(
     Parameters
     ----------
     model, records, evidence, **options
-        As for :func:`diagnose`.
+        As for :func:`physid.diagnose`.
     test : sequence of Record or path
         Records that decide nothing; on them every parameter is frozen and only the initial state is
         estimated.
