@@ -11,7 +11,7 @@ from typing import Any
 from physid.criticism.account import channel_rows, record_rows, simulation_row, worst_channels
 from physid.criticism.comparison import Lack, Result, lack_of, parameters_of
 from physid.criticism.diagnosis import Diagnosis, candidate_rows, diagnose_study, with_effects
-from physid.criticism.leads import read_leads
+from physid.criticism.leads import read_leads, silence_notes
 from physid.criticism.limits import check_limits
 from physid.criticism.localisation import where
 from physid.criticism.next_experiment import Next, check_duration, next_experiment
@@ -61,6 +61,7 @@ def diagnose(
     check_limits(loaded, settings.limits)
     leads = read_leads(loaded, evidence)
     study = prepare(loaded, records, settings)
+    study = replace(study, notes=(*study.notes, *silence_notes(evidence)))
     check_duration(study)
     found = diagnose_study(study, span=(0.3, 0.85), leads=leads)
     settings.report("finding where the model fails", 0.85)

@@ -61,6 +61,12 @@ def read_leads(model: Model, results: Sequence[Mapping[str, Any]]) -> tuple[Lead
     return leads
 
 
+def silence_notes(results: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+    """Say which of the results, read before by :func:`read_leads`, speak for no effect."""
+    silent = [SOURCES[result["schema"]] for result in results if not _entries(result)]
+    return tuple(dict.fromkeys(f"The evidence of {s} speaks for no effect." for s in silent))
+
+
 def _entries(result: Mapping[str, Any]) -> list[tuple[object, str]]:
     """Return the effects in a result, each with the command that it comes from."""
     schema = result.get("schema") if isinstance(result, Mapping) else None

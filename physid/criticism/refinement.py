@@ -33,7 +33,7 @@ from physid.criticism.diagnosis import (
     diagnose_study,
     with_effects,
 )
-from physid.criticism.leads import read_leads
+from physid.criticism.leads import read_leads, silence_notes
 from physid.criticism.localisation import where
 from physid.criticism.pictures import diagnosis_curves, tested_curves
 from physid.criticism.refit import start_of, with_candidate
@@ -100,6 +100,7 @@ def refine(
     leads = read_leads(loaded, evidence)
     tests = experiments_of(loaded, test, settings) if test else []
     study = prepare(loaded, records, settings)
+    study = replace(study, notes=(*study.notes, *silence_notes(evidence)))
     settings.report("fitting the model as it stands", 0.25)
     steps = [_step(study, tests, (), None)]
     first: Diagnosis | None = None
@@ -224,7 +225,7 @@ def _refinement(
         "where": where(base.problem, base.estimate, list(lack.forces)),
         "force_balance": balance_row(last),
         "first_sentence": first.sentence,
-        "notes": [*study.notes, *last.notes, *reread],
+        "notes": [*study.notes, *first.notes, *last.notes, *reread],
         "simulation": simulation_row(filed, max(last.integration_error, error), last.confirmed),
     }
     if first.verdict != "effect_missing":

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import physid
-from physid.criticism.leads import MOST, read_leads
+from physid.criticism.leads import MOST, read_leads, silence_notes
 from physid.effects.catalogue import load_model
 from physid.errors import InputError
 from physid.identification.movement import evidence
@@ -85,6 +85,15 @@ def test_what_is_no_evidence_is_refused_in_a_sentence(oscillator, result, words)
     assert len(str(refused.value)) < 1000
 
 
+def test_what_speaks_for_nothing_is_said_once():
+    empty = {"schema": "physid.fit/1", "varying": [{"effects": []}]}
+    assert silence_notes([monitored(), monitored(effect()), empty, monitored()]) == (
+        "The evidence of physid monitor speaks for no effect.",
+        "The evidence of physid fit --method lmi speaks for no effect.",
+    )
+    assert silence_notes([]) == ()
+
+
 def test_a_place_without_a_spring_is_refused():
     wheels = load_model(rig_path("two_inertia"))
     with pytest.raises(InputError, match="cannot act at"):
@@ -135,8 +144,9 @@ def test_a_wrong_lead_is_not_believed(oscillator, changed):
     """A change of the right spring in a record without one: judged like others, it falls."""
     false = monitored(effect(parameters=[row("factor", 1.5), row("time", 8.0)]))
     same = Record(time=changed.time[:2600], columns=changed.columns, values=changed.values[:2600])
-    result = physid.diagnose(oscillator, [same], fit=FITTED, evidence=[false]).data
+    result = physid.diagnose(oscillator, [same], fit=FITTED, evidence=[false, monitored()]).data
     assert result["verdict"] == "nothing_missing"
+    assert "The evidence of physid monitor speaks for no effect." in result["notes"]
 
 
 def test_a_change_beyond_the_records_is_refused(oscillator, changed):

@@ -21,7 +21,8 @@ def records(make_run):
 
 @pytest.fixture(scope="module")
 def refined(slider, records):
-    return physid.refine(slider, records[:1], test=records[1:])
+    silent = {"schema": "physid.monitoring/1", "evidence": []}
+    return physid.refine(slider, records[:1], test=records[1:], evidence=[silent])
 
 
 def test_friction_is_found(refined):
@@ -36,6 +37,7 @@ def test_friction_is_found(refined):
     assert effect["parameters"][0]["value"] == pytest.approx(0.3, rel=0.05)
     assert step["p_value"] < 0.01
     assert step["test"]["position"] < 0.3 * base["test"]["position"]
+    assert "The evidence of physid monitor speaks for no effect." in result["notes"]
 
 
 def test_result_is_plain_json(refined):
