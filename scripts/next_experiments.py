@@ -32,7 +32,7 @@ from rich.console import Console  # noqa: E402
 from rich.table import Table  # noqa: E402
 
 from tests.truth import scoring  # noqa: E402
-from tests.truth.bank import Case, cases, make, write  # noqa: E402
+from tests.truth.bank import Case, cases, make, write, write_columns  # noqa: E402
 from tests.truth.collecting import Line, collect, settled_seed  # noqa: E402
 from tests.truth.playing import POOR, play, poor_input, with_noise  # noqa: E402
 from tests.truth.rigs import RIGS  # noqa: E402
@@ -40,6 +40,7 @@ from tests.truth.rigs import RIGS  # noqa: E402
 NOISE = (0.01, 0.05)
 SECONDS = (3.0, 5.0)
 BOUNDS: dict[str, tuple[str, float]] = {"decided": (">=", 0.9), "errors": ("<=", 0.0)}
+"""Of the rates, what they must be."""
 
 
 def study(case: Case, folder: Path, api: Any = None) -> Line:
@@ -52,7 +53,7 @@ def study(case: Case, folder: Path, api: Any = None) -> Line:
     clean = play(case, poor_input(kind, case, rng), rig.period)
     level = {s: case.noise * min(float(np.std(clean[s])) for s in rig.sensors) for s in rig.sensors}
     model, old = folder / "model.xml", folder / "old.csv"
-    save(old, with_noise(clean, level, case.seed))
+    write_columns(old, with_noise(clean, level, case.seed))
     call = {"fit": case.fit if case.fit == "auto" else list(case.fit), "seed": case.seed % 2**31}
     started = time.process_time()
     first = api.diagnose(model, [old], **call)
@@ -75,15 +76,9 @@ def study(case: Case, folder: Path, api: Any = None) -> Line:
         return line | {"decided": None, "sentence": plan["sentence"]}
     played = play(case, first.next_record.values[:, 0], plan["timestep"])
     new = folder / "new.csv"
-    save(new, with_noise(played, level, case.seed + 1))
+    write_columns(new, with_noise(played, level, case.seed + 1))
     after = api.diagnose(model, [old, new], **call).as_dict()
     return line | _outcome(case, line["rivals"], plan, after)
-
-
-def save(path: Path, columns: Mapping[str, Any]) -> None:
-    """Write columns as a record."""
-    table = np.column_stack(list(columns.values()))
-    np.savetxt(path, table, fmt="%.10g", delimiter=",", header=",".join(columns), comments="")
 
 
 def _sites(effects: Sequence[Mapping[str, Any]]) -> str:
@@ -118,7 +113,7 @@ def _outcome(
     }
 
 
-def figures(lines: Sequence[Line]) -> list[tuple[str, int, int]]:
+def rates(lines: Sequence[Line]) -> list[tuple[str, int, int]]:
     """Name, hits and trials of every rate."""
     doubtful = [x for x in lines if x.get("doubt") and not x["error"]]
     run = [x for x in doubtful if x.get("decided") is not None]
@@ -138,7 +133,7 @@ def figures(lines: Sequence[Line]) -> list[tuple[str, int, int]]:
 def rates_table(lines: Sequence[Line]) -> Table:
     """Rates with Wilson's intervals."""
     table = Table("rate", "of", "%", "95 % interval", title="The next experiment")
-    for name, hits, trials in figures(lines):
+    for name, hits, trials in rates(lines):
         low, high = scoring.wilson(hits, trials)
         share = f"{100 * hits / trials:.0f}" if trials else "-"
         table.add_row(name, f"{hits}/{trials}", share, f"{100 * low:.0f}-{100 * high:.0f}")
@@ -207,8 +202,11 @@ def main(
     lines = collect(Doubted(small), "next", seed, wanted, jobs, most, out, progress)
     shown.print(cases_table(lines), rates_table(lines))
     if as_json:
-        rates = {name: {"hits": hits, "trials": n} for name, hits, n in figures(lines)}
-        print(json.dumps({"seed": seed, "rates": rates, "cases": lines}, allow_nan=False))
+        told = {name: {"hits": hits, "trials": n} for name, hits, n in rates(lines)}
+        shares = {name: hits / n if n else None for name, hits, n in rates(lines)}
+        figures = [scoring.figure(name, shares[name], *bound) for name, bound in BOUNDS.items()]
+        result = {"seed": seed, "figures": figures, "rates": told, "cases": lines}
+        print(json.dumps(result, allow_nan=False))
 
 
 if __name__ == "__main__":

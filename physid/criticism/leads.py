@@ -1,8 +1,8 @@
 """Leads: effects that other results speak for, tried beside those that a diagnosis screens.
 
 ``physid monitor`` dates a step of a stiffness over all instants at once, ``physid fit --method lmi --varying``
-follows one: neither is among what a screening sees.  What they found is where a refit starts; then a lead
-is judged like every other candidate.  Its values are data, whoever wrote the file, and checked as such.
+follows one: a screening sees a step from a few instants alone.  What they found is where a refit starts;
+then a lead is judged like every other candidate.  Its values are data, whoever wrote the file, and checked as such.
 """
 
 from __future__ import annotations

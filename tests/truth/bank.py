@@ -203,20 +203,19 @@ def write(generated: Generated, directory: Path) -> None:
     directory.mkdir(parents=True, exist_ok=True)
     (directory / "model.xml").write_text(generated.model, encoding="utf-8")
     for name, columns in (("train", generated.train), ("test", generated.test)):
-        np.savetxt(
-            directory / f"{name}.csv",
-            np.column_stack(list(columns.values())),
-            fmt="%.10g",
-            delimiter=",",
-            header=",".join(columns),
-            comments="",
-        )
+        write_columns(directory / f"{name}.csv", columns)
     told = {
         **asdict(generated.case),
         "base": dict(generated.parameters),
         "floor": floor(generated),
     }
     (directory / "truth.json").write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+
+
+def write_columns(path: Path, columns: Mapping[str, Array]) -> None:
+    """Write columns (N,) by name as a record."""
+    table = np.column_stack(list(columns.values()))
+    np.savetxt(path, table, fmt="%.10g", delimiter=",", header=",".join(columns), comments="")
 
 
 def floor(generated: Generated) -> dict[str, float]:
@@ -236,14 +235,6 @@ def effect_size(case: Case) -> float:
     """NRMSE, on the worst sensor, of the true base model without its effect against the truth."""
     bare = _truth(replace(case, effect="nothing"), "train", like=case, substeps=10)
     return _distance(_truth(case, "train", substeps=10), bare)
-
-
-def growth(case: Case) -> float:
-    """By how much a small change of the initial state has grown at its largest, over its start.
-
-    Distances of angles are taken over the rms travel, those of the start over its usual scatter.
-    """
-    return _growth(case, _truth(case, "train", substeps=10))
 
 
 def true_plant(case: Case) -> Plant:
@@ -369,11 +360,11 @@ __all__ = [
     "draw",
     "effect_size",
     "floor",
-    "growth",
     "make",
     "nrmse",
     "true_plant",
     "true_values",
     "with_names",
     "write",
+    "write_columns",
 ]

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .bank import nrmse
+from .bank import nrmse, write_columns
 from .catalogue import EFFECTS, MANY_LEVELS, Hidden, contained, draw_strength, places, row_of, slot
 from .chains import chain
 from .machines import RIGS, Machine, mjcf, plant_of
@@ -316,13 +316,6 @@ def write(made: Made, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "model.xml").write_text(made.model, encoding="utf-8")
     for name, columns in (("train", made.train), ("test", made.test)):
-        np.savetxt(
-            folder / f"{name}.csv",
-            np.column_stack(list(columns.values())),
-            fmt="%.10g",
-            delimiter=",",
-            header=",".join(columns),
-            comments="",
-        )
+        write_columns(folder / f"{name}.csv", columns)
     told = {**asdict(made.trial), "base": dict(made.base), "floor": made.floor()}
     (folder / "truth.json").write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
