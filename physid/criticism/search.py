@@ -137,7 +137,9 @@ def search(
         return fits
     report("trying pairs", 0.7)
     pairs = _pairs(base, fits, partnered, candidates)
-    fits = _best_with_blocks(base, _with_siblings(base, [*fits, *pairs], scales), scales)
+    if pairs:
+        fits = _with_siblings(base, [*fits, *pairs], scales)
+    fits = _best_with_blocks(base, fits, scales)
     if not fits or len(fits[0].added) < 2:
         return fits
     alone = without_partner(base, fits[0], scales)

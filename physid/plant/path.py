@@ -140,14 +140,19 @@ def friction_along(plant: Plant, path: Path) -> Friction | None:
 
 
 def more_friction(other: Plant, friction: Friction) -> np.ndarray:
-    """Return by how much more friction pushes the joints in another plant at the same motion, (m, nv)."""
-    losses = friction.losses
-    more = _losses(other.model) - losses
+    """Return by how much more friction pushes the joints in another plant at the same motion, (m, nv).
+
+    Tendons that only the other plant has come after those of both, as effects add them.
+    """
+    rows, wanted = _rows(other.model), _losses(other.model)
+    losses = np.zeros(len(wanted))
+    losses[: len(friction.losses)] = friction.losses
     found = np.zeros_like(friction.accelerations)
-    for i in np.flatnonzero(more):
+    speeds = friction.speeds[:, : other.model.nv]
+    for i in np.flatnonzero(wanted - losses):
         # What would slide or stick here does so there.
-        share = friction.forces[:, i] / losses[i] if losses[i] else -np.sign(friction.speeds[:, i])
-        found += np.outer(more[i] * share, friction.rows[i])
+        share = friction.forces[:, i] / losses[i] if losses[i] else -np.sign(speeds @ rows[i])
+        found += np.outer((wanted[i] - losses[i]) * share, rows[i])
     return found
 
 

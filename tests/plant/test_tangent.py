@@ -12,6 +12,7 @@ from physid.identification.nearby import nearby
 from physid.identification.problem import Problem, residuals_of
 from physid.identification.windows import whole
 from physid.plant.effect import Placed
+from physid.plant.path import Friction, more_friction
 from physid.plant.simulation import Simulator
 
 from .rigs import load_text
@@ -145,24 +146,49 @@ def test_what_a_tangent_does_not_tell_is_simulated(monkeypatch):
     assert deviations(found, expected).max() < 0.015
 
 
-def test_run_time_laws_are_felt_at_every_sample(monkeypatch):
+STRIBECK = {"force": 0.0, "static_force": 1e-3, "stribeck_velocity": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "values"),
+    [
+        ("stribeck_friction", "h1", STRIBECK),  # felt at every sample
+        ("coupling", "h1,h2", {"stiffness": 0.01, "damping": 0.001}),  # by a tendon more
+    ],
+)
+def test_what_an_effect_would_change_is_told(name, place, values):
     model = load_text(ARM.format(first="", second=""))
-    effect, place = effect_named("stribeck_friction"), model.structure.find("h1", ["joint"])
-    values = {"force": 0.0, "static_force": 1e-3, "stribeck_velocity": 0.5}
+    effect = effect_named(name)
+    with_it = model.with_effect(Placed(effect, model.structure.find(place, effect.kinds), values))
     problem = problem_of(model, [], held(800, 4))
     states = [np.array([[0.3, -0.2, 0.5, 1.0]])]
     near = nearby(problem, problem.start(), states)
-    plant = model.with_effect(Placed(effect, place, values)).compile(DT)
+    plant = with_it.compile(DT)
     assert near is not None
     assert near.serves([plant])
     found = near.by_plants([plant], np.ones(1))[0][0, :, :, 0]
     finer = problem_of(model, [], held(800, 4), substeps=16)
-    other = replace(finer, model=model.with_effect(Placed(effect, place, values)))
+    other = replace(finer, model=with_it)
     expected = (
         residuals_of(finer, [problem.start()], [states])[0][0]
         - residuals_of(other, [problem.start()], [states])[0][0]
     )[0]
     assert deviations(found[:, :2], expected[:, :2]).max() < 0.05
+
+
+def test_friction_along_a_tendon_that_only_another_plant_has_is_told():
+    tendon = "</worldbody><tendon><fixed name='t' frictionloss='0.2'><joint joint='h1' coef='1'/>"
+    tendon += "<joint joint='h2' coef='-2'/></fixed></tendon>"
+    model = load_text(ARM.format(first="frictionloss='0.1'", second=""))
+    other = load_text(
+        ARM.format(first="frictionloss='0.1'", second="").replace("</worldbody>", tendon)
+    )
+    speeds = np.array([[1.0, 0.2], [0.1, 0.4]])
+    still = np.zeros((2, 2))
+    friction = Friction(-0.1 * np.sign(speeds), speeds, np.array([0.1, 0.0]), np.eye(2), still)
+    more = more_friction(other.compile(DT), friction)
+    assert np.allclose(more, [[-0.2, 0.4], [0.2, -0.4]])
+    assert not more_friction(model.compile(DT), friction).any()
 
 
 @pytest.mark.parametrize("more", ["range='-0.1 0.2'", "range='-0.3 0.05'"])
