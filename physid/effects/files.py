@@ -15,12 +15,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numba.core.errors import NumbaError
 
 from physid.effects.own import MECHANICAL, SPREAD, LawEffect, OwnEffect
 from physid.effects.snippet import PLACEHOLDER, SnippetEffect, faults, filled
 from physid.errors import InputError, available
 from physid.plant.effect import Coefficient, Effect
-from physid.plant.law import LAW_SIGNATURE, MEMORY_SIGNATURE
+from physid.plant.law import LAW_SIGNATURE, MEMORY_SIGNATURE, Law
 from physid.plant.parameter import write_unit
 from physid.plant.structure import KINDS, Place
 
@@ -73,10 +74,7 @@ def _from_python(file: Path) -> list[type[Effect]]:
     try:
         defined = runpy.run_path(str(file), run_name=name)
     except (Exception, SystemExit) as error:
-        reason = " ".join(str(error).split())[:200].rstrip(".")
-        raise InputError(
-            f"The effects file {file} cannot be run: {type(error).__name__}: {reason}."
-        ) from error
+        raise InputError(f"The effects file {file} cannot be run: {_said(error)}.") from error
     found = [
         value
         for value in dict.fromkeys(v for v in defined.values() if isinstance(v, type))
@@ -90,6 +88,11 @@ def _from_python(file: Path) -> list[type[Effect]]:
             "physid.effects.own.LawEffect."
         )
     return found
+
+
+def _said(error: BaseException) -> str:
+    """Return the kind and the beginning of an error's text, in one line."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:200].rstrip('.')}"
 
 
 def _from_toml(file: Path) -> list[type[Effect]]:
@@ -220,16 +223,28 @@ def _wrong_own(kind: type[OwnEffect]) -> str:
 
 
 def _wrong_law(kind: type[LawEffect]) -> str:
-    function = getattr(kind, "function", None)
-    signature = MEMORY_SIGNATURE if kind.memory else LAW_SIGNATURE
-    if getattr(function, "_sig", None) != signature:
-        needed = "memory_law" if kind.memory else "force_law"
-        return (
-            f"needs as its function one compiled by @{needed}, as it has {len(kind.memory)} states, "
-            f"and has a {type(function).__name__}"
-        )
     if len(kind.coefficients) > MOST_COEFFICIENTS:
         return f"has {len(kind.coefficients)} parameters; a law can have {MOST_COEFFICIENTS}"
+    return _wrong_function(kind) or _wrong_values(kind)
+
+
+def _wrong_function(kind: type[LawEffect]) -> str:
+    function = getattr(kind, "function", None)
+    signature = MEMORY_SIGNATURE if kind.memory else LAW_SIGNATURE
+    if not isinstance(function, Law) or function.signature != signature:
+        needed = "memory_law" if kind.memory else "force_law"
+        return (
+            f"needs as its function one stated with @{needed}, as it has {len(kind.memory)} states, "
+            f"and has a {type(function).__name__}"
+        )
+    try:
+        _ = function.compiled
+    except NumbaError as error:
+        return f"cannot be compiled: {_said(error)}"
+    return ""
+
+
+def _wrong_values(kind: type[LawEffect]) -> str:
     typical = _typical(kind)
     for x in PROBES:
         for v in PROBES:

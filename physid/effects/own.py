@@ -13,7 +13,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from itertools import product
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -21,7 +21,7 @@ import numpy as np
 from physid.effects.elasticity import spring_coordinate
 from physid.effects.friction import SMALL
 from physid.plant.effect import Coefficient, Effect, Element, Placed, Scales, Trial
-from physid.plant.law import force_law, memory_law
+from physid.plant.law import Law, force_law, memory_law
 from physid.plant.structure import Place, Structure, body_row, pair_row
 
 SPREAD = (0.1, 0.3, 1.0, 3.0)
@@ -73,8 +73,8 @@ class OwnEffect(Effect):
 class LawEffect(OwnEffect):
     """A force law along the coordinate of its place.
 
-    ``function`` is the law: ``f(x, v, t, p)`` compiled by :func:`~physid.plant.law.force_law`, or
-    ``f(x, v, t, p, z, part)`` with states z of its own, named in ``memory``, compiled by
+    ``function`` is the law: ``f(x, v, t, p)`` stated with :func:`~physid.plant.law.force_law`, or
+    ``f(x, v, t, p, z, part)`` with states z of its own, named in ``memory``, stated with
     :func:`~physid.plant.law.memory_law`.  p holds the coefficients in their order.  x and v are
     position and speed of the joint or tendon from its spring's rest, of the body along the axis of
     its last joint, or of the first joint relative to the second; the force acts along x.
@@ -84,7 +84,7 @@ class LawEffect(OwnEffect):
     """
 
     representation = "runtime"
-    function: ClassVar[Any]
+    function: ClassVar[Law]
 
     def possible(self, model: mujoco.MjModel, structure: Structure, place: Place) -> bool:
         return structure.nq == structure.nv and coordinate(model, place) is not None

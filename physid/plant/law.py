@@ -3,12 +3,15 @@
 A law is a C function ``f(x, v, t, p) -> force`` of a coordinate ``x`` [m or rad], its rate ``v``
 [m/s or rad/s], the time ``t`` [s] and a pointer ``p`` to its constants.  It is stated once, with
 :func:`force_law`, and called through its address, so no caller has to be compiled again when a law
-is added.  A law that remembers is stated with :func:`memory_law`.
+is added.  A law that remembers is stated with :func:`memory_law`.  Both are compiled when they are
+first asked for: a run uses few of the catalogue's.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,42 +25,57 @@ _NUMBERS: Any = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
 LAW_SIGNATURE = types.float64(types.float64, types.float64, types.float64, _NUMBERS)
 
 
-def force_law(function: Callable[..., float]) -> Any:
-    """Compile a force law to a C function.
-
-    Parameters
-    ----------
-    function : callable
-        ``f(x, v, t, p)`` in the subset of Python that numba compiles.
-
-    Returns
-    -------
-    numba CFunc
-        ``.address`` is what elements carry; the compiled code is kept between runs.
-    """
-    return kept_c_function(LAW_SIGNATURE, error_model="numpy")(function)
-
-
 MEMORY_SIGNATURE = types.float64(
     types.float64, types.float64, types.float64, _NUMBERS, _NUMBERS, types.int64
 )
 
 
-def memory_law(function: Callable[..., float]) -> Any:
-    """Compile a force law with a memory z of its own, which obeys a differential equation.
+@dataclass(frozen=True)
+class Law:
+    """A law and its C function; numba's errors come when that is first asked for.
+
+    Attributes
+    ----------
+    function : callable
+        As it was stated.
+    signature : numba signature
+        :data:`LAW_SIGNATURE` or :data:`MEMORY_SIGNATURE`.
+    """
+
+    function: Callable[..., float]
+    signature: Any
+
+    @cached_property
+    def compiled(self) -> Any:
+        """The C function (numba CFunc), kept between runs."""
+        return kept_c_function(self.signature, error_model="numpy")(self.function)
+
+    @property
+    def address(self) -> int:
+        """Where the C function is: what elements carry."""
+        return int(self.compiled.address)
+
+    @property
+    def ctypes(self) -> Any:
+        """The C function, to be called from Python."""
+        return self.compiled.ctypes
+
+
+def force_law(function: Callable[..., float]) -> Law:
+    """State a force law ``f(x, v, t, p)`` in the subset of Python that numba compiles."""
+    return Law(function, LAW_SIGNATURE)
+
+
+def memory_law(function: Callable[..., float]) -> Law:
+    """State a force law with a memory z of its own, which obeys a differential equation.
 
     Parameters
     ----------
     function : callable
         ``f(x, v, t, p, z, part)`` in the subset of Python that numba compiles: the force for part 0,
         dz/dt of entry k of the memory for part k + 1.
-
-    Returns
-    -------
-    numba CFunc
-        See :func:`force_law`.
     """
-    return kept_c_function(MEMORY_SIGNATURE, error_model="numpy")(function)
+    return Law(function, MEMORY_SIGNATURE)
 
 
 def _call_memory_law(typingctx, address, x, v, t, constants, memory, part):  # type: ignore[no-untyped-def]

@@ -309,9 +309,9 @@ WRONG_LAWS = [
     ({"kinds": "('motor',)"}, "but may sit at some of joint, tendon, body, pair"),
     (
         {"function": "abs"},
-        "needs as its function one compiled by @force_law, as it has 0 states, and has a bui",
+        "needs as its function one stated with @force_law, as it has 0 states, and has a bui",
     ),
-    ({"more": "memory = ('position',)"}, "needs as its function one compiled by @memory_law"),
+    ({"more": "memory = ('position',)"}, "needs as its function one stated with @memory_law"),
     ({"law": "-p[0] / x"}, "is not finite at x = 0, v = 0 with size = 1"),
     ({"law": "-p[1] * x"}, "is not finite at x = 0"),  # it has no second parameter
     ({"law": "-x / p[0]"}, "is not finite at rest with size = 0; bound size away from 0"),
@@ -321,7 +321,7 @@ WRONG_LAWS = [
     ({"more": "tried = {'size': (1.0,)}"}, "tries values of 'size', which is no parameter marked"),
     ({"before": "1 / 0"}, "cannot be run: ZeroDivisionError: division by zero."),
     ({"before": "raise SystemExit(3)"}, "cannot be run: SystemExit: 3."),
-    ({"law": "undefined(x)"}, "cannot be run: TypingError"),
+    ({"law": "undefined(x)"}, "cannot be compiled: TypingError"),
 ]
 
 
