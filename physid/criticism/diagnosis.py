@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from physid.criticism.account import effect_row, finite
-from physid.criticism.evidence import Bench, Judgement, benches, judge
+from physid.criticism.evidence import Judgement, benches, judge
 from physid.criticism.leads import Lead, lead_notes, possible_leads, sites_of
 from physid.criticism.merit import LEAST_GAIN, NOISE_LIKE, explained, score
 from physid.criticism.refit import (
@@ -18,7 +18,7 @@ from physid.criticism.refit import (
     judging_spans,
 )
 from physid.criticism.search import base_of, search, windows_of
-from physid.identification.screening import possible_candidates
+from physid.identification.screening import Ground, possible_candidates
 from physid.identification.study import Study
 
 Verdict = Literal["effect_missing", "nothing_missing", "unexplained"]
@@ -162,7 +162,7 @@ def candidate_rows(study: Study, found: Diagnosis) -> list[dict[str, Any]]:
 
 
 def _ranked(
-    base: Base, judging: Mapping[str, Bench], fits: Sequence[Refit], tried: int
+    base: Base, judging: Mapping[str, Ground], fits: Sequence[Refit], tried: int
 ) -> list[Candidate]:
     out = []
     for fit in fits:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -12,12 +12,18 @@ from scipy.special import ndtr
 from physid.criticism.refit import Base, Refit
 from physid.errors import NumericsError
 from physid.identification.estimate import Estimate
-from physid.identification.linearisation import Linearisation, linearise
+from physid.identification.linearisation import linearise
 from physid.identification.noise import correlation_time
 from physid.identification.problem import Problem
-from physid.identification.screening import orthonormal
+from physid.identification.screening import Ground, ground_of, orthonormal, outwards
 from physid.identification.staged import states_only
 from physid.identification.uncertainty import bartlett
+from physid.identification.windows import state_indices
+
+NOTHING = 0.02
+"""Size, over one sample's noise, of all that a candidate changes, below which it does nothing."""
+LARGEST = 0.99
+"""Largest p-value with which a horizon enters their combination."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,43 +40,29 @@ class Judgement:
     after: np.ndarray
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Bench:
-    """The base model on judging windows: its states fitted there, and what its parameters could explain.
+def benches(judging: Mapping[str, Problem], base: Base) -> dict[str, Ground]:
+    """Put the base model on the judging windows of every horizon over which it does not diverge.
 
-    ``point`` is the linearisation there, whose ``remaining`` (m,) is the residual with the windows' states
-    projected out; ``basis`` (m, k) spans what the base's parameters do.
+    Its states are fitted there, its parameters are not.
     """
-
-    problem: Problem
-    before: Estimate
-    point: Linearisation
-    basis: np.ndarray
-
-
-def benches(judging: Mapping[str, Problem], base: Base) -> dict[str, Bench]:
-    """Put the base model on the judging windows of every horizon over which it does not diverge."""
     found = {}
     for horizon, problem in judging.items():
         theta = base.fits[horizon].theta
         with suppress(NumericsError):
             before = states_only(replace(problem, model=problem.at(theta)))
-            point = linearise(problem, theta, before.states, before.residuals)
-            found[horizon] = Bench(
-                problem=problem, before=before, point=point, basis=orthonormal(point.projected)
-            )
+            found[horizon] = ground_of(problem, replace(before, theta=theta))
     return found
 
 
-def judge(judging: Mapping[str, Bench], candidate: Refit) -> Judgement:
+def judge(judging: Mapping[str, Ground], candidate: Refit) -> Judgement:
     """Judge a candidate against the base model on data that took no part in choosing it.
 
     Both models keep the parameters fitted elsewhere; only initial states are estimated here.  The
     base's residual is regressed on the difference the candidate makes, with what the base's own
     parameters could explain projected out of both (Frisch, Waugh, Econometrica 1, 1933: what distorts
     them would else pass for noise); the regression's t-value uses a long-run variance (Bartlett kernel),
-    so coloured residuals do not feign significance.  The smallest p-value over the
-    horizons, times their number, is reported.  A horizon over which one of them diverges tells nothing.
+    so coloured residuals do not feign significance.  The horizons' p-values, which depend on each other,
+    are combined by Cauchy's rule.  A horizon over which one of the models diverges tells nothing.
     """
     p_values = []
     shown: dict[str, tuple[Problem, Estimate, Estimate]] = {}
@@ -78,11 +70,11 @@ def judge(judging: Mapping[str, Bench], candidate: Refit) -> Judgement:
         if horizon not in candidate.fits:
             continue
         try:
-            after, t_values = _compare(bench, candidate, horizon)
+            after, t = _compare(bench, candidate, horizon)
         except NumericsError:
             continue
-        p_values += [float(ndtr(-t)) for t in t_values]
-        shown[horizon] = (bench.problem, bench.before, after)
+        p_values.append(float(ndtr(-t)))
+        shown[horizon] = (bench.problem, bench.estimate, after)
     if not shown:
         blank = np.full(len(candidate.problem.sigma), np.nan)
         return Judgement(
@@ -90,7 +82,7 @@ def judge(judging: Mapping[str, Bench], candidate: Refit) -> Judgement:
         )
     problem, before, after = shown.get("long") or next(iter(shown.values()))
     return Judgement(
-        p_value=min(1.0, min(p_values) * len(p_values)),
+        p_value=combined(p_values),
         squares_before=before.squares,
         squares_after=after.squares,
         before=nrmse(problem, before),
@@ -98,29 +90,44 @@ def judge(judging: Mapping[str, Bench], candidate: Refit) -> Judgement:
     )
 
 
-def _compare(bench: Bench, candidate: Refit, horizon: str) -> tuple[Estimate, tuple[float, float]]:
-    """Return the candidate's fit of initial states on judging windows, and two t-values."""
-    before, point = bench.before, bench.point
+def combined(p_values: Sequence[float]) -> float:
+    """Combine p-values that depend on each other in an unknown way.
+
+    The mean of their Cauchy quantiles is Cauchy's again where they are independent and where they are
+    equal, and in its tail whatever they are: Liu, Xie, J. Am. Stat. Assoc. 115 (2020).  A p-value near
+    one would outweigh all others and is held at :data:`LARGEST` (Fang et al., Stat. Sin. 33, 2023).
+    """
+    p = np.clip(p_values, 1e-300, LARGEST)
+    return float(np.arctan2(1.0, np.mean(1.0 / np.tan(np.pi * p))) / np.pi)
+
+
+def _compare(bench: Ground, candidate: Refit, horizon: str) -> tuple[Estimate, float]:
+    """Return the candidate's fit of initial states on judging windows, and the t-value of what it adds."""
     model = candidate.problem.at(candidate.fits[horizon].theta)
-    after = states_only(replace(candidate.problem, windows=bench.problem.windows, model=model))
-    difference = point.without_states(
+    frozen = replace(candidate.problem, windows=bench.problem.windows, model=model, parameters=())
+    after, before, channels = states_only(frozen), bench.estimate, len(bench.problem.sigma)
+    residual, basis, without_states = bench.remaining, bench.basis, bench.point.without_states
+    if len(state_indices(model)) > len(state_indices(bench.problem.model)):
+        # What a memory's own initial states take from the noise is no evidence for it.
+        without_states = linearise(
+            frozen, np.zeros(0), after.states, after.residuals
+        ).without_states
+        residual = without_states(before.residuals)
+        columns = [without_states(_like(c, before.residuals)) for c in basis.T]
+        basis = orthonormal(np.reshape(columns, (-1, len(residual))).T)
+    difference = without_states(
         [a - b for a, b in zip(before.residuals, after.residuals, strict=True)]
     )
-    slope = t_value(difference, point.remaining, bench.basis, len(bench.problem.sigma))
-    return after, (slope, _t_mean(sum_of_squares(before) - sum_of_squares(after)))
+    if float(np.linalg.norm(difference - basis @ (basis.T @ difference))) < NOTHING:
+        placed = candidate.added[-1]
+        difference = outwards(bench, placed.effect, placed.place)
+    return after, t_value(difference, residual, basis, channels)
 
 
-def sum_of_squares(estimate: Estimate) -> np.ndarray:
-    """Return the weighted squares at every instant of all windows, channels added up, (n,)."""
-    return np.concatenate([np.sum(r**2, axis=2).ravel() for r in estimate.residuals])
-
-
-def _t_mean(series: np.ndarray) -> float:
-    """Return the t-value of a coloured series' mean (n,)."""
-    centred = series - series.mean()
-    lags = min(int(3 * correlation_time(series)) + 1, len(series) // 8, 400)
-    variance = float(bartlett(centred[:, None], lags)[0, 0])
-    return float(series.sum() / np.sqrt(max(variance, 1e-300)))
+def _like(column: np.ndarray, residuals: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Cut a column (m,) into the experiments' windows, (w, samples, ny) each."""
+    ends = np.cumsum([r.size for r in residuals])[:-1]
+    return [c.reshape(r.shape) for c, r in zip(np.split(column, ends), residuals, strict=True)]
 
 
 def t_value(

@@ -256,6 +256,21 @@ def _responses(
     ]
 
 
+def outwards(ground: Ground, effect: Effect, place: Place) -> np.ndarray:
+    """Return what a little of an effect in its first shape does, beside initial states, (m,).
+
+    An effect that has one sign is estimated as nothing in half of the cases in which there is none;
+    along its score data still tell how much they speak against it.  Zero where that has no size.
+    """
+    nothing = np.zeros(len(ground.remaining))
+    if place not in ground.scales:
+        return nothing
+    for trial in effect.trials(ground.scales[place])[:1]:
+        found = np.sum(_responses(ground, effect, place, trial.columns), axis=0)
+        return np.asarray(found) if np.isfinite(found).all() else nothing
+    return nothing
+
+
 def _started(
     ground: Ground,
     effect: Effect,
