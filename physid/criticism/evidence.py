@@ -106,7 +106,7 @@ def _compare(bench: Ground, candidate: Refit, horizon: str) -> tuple[Estimate, f
     model = candidate.problem.at(candidate.fits[horizon].theta)
     frozen = replace(candidate.problem, windows=bench.problem.windows, model=model, parameters=())
     after, before, channels = states_only(frozen), bench.estimate, len(bench.problem.sigma)
-    residual, basis, without_states = bench.remaining, bench.basis, bench.point.without_states
+    residual, basis, point = bench.remaining, bench.basis, bench.point
     if len(state_indices(model)) > len(state_indices(bench.problem.model)):
         # What a memory's own initial states take from the noise is no evidence for it.
         without_states = linearise(
@@ -115,13 +115,13 @@ def _compare(bench: Ground, candidate: Refit, horizon: str) -> tuple[Estimate, f
         residual = without_states(before.residuals)
         columns = [without_states(_like(c, before.residuals)) for c in basis.T]
         basis = orthonormal(np.reshape(columns, (-1, len(residual))).T)
-    difference = without_states(
+    difference = point.without_states(
         [a - b for a, b in zip(before.residuals, after.residuals, strict=True)]
     )
     if float(np.linalg.norm(difference - basis @ (basis.T @ difference))) < NOTHING:
         placed = candidate.added[-1]
         difference = outwards(bench, placed.effect, placed.place)
-    return after, t_value(difference, residual, basis, channels)
+    return after, t_value(difference, residual, basis, channels, point.states)
 
 
 def _like(column: np.ndarray, residuals: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -131,9 +131,14 @@ def _like(column: np.ndarray, residuals: Sequence[np.ndarray]) -> list[np.ndarra
 
 
 def t_value(
-    difference: np.ndarray, residual: np.ndarray, basis: np.ndarray, channels: int
+    difference: np.ndarray, residual: np.ndarray, basis: np.ndarray, channels: int, lost: int = 0
 ) -> float:
     """Return the t-value of a regression of a residual on a difference, its errors coloured.
+
+    What was projected out of a residual leaves it smaller than its errors and negatively correlated
+    from one instant to the next.  Variances are therefore raised by the degrees of freedom that are
+    lost (MacKinnon, White, J. Econometrics 29, 1985: HC1), and the long-run variance is not taken to be
+    below the one of white errors.
 
     Parameters
     ----------
@@ -142,6 +147,8 @@ def t_value(
     basis : ndarray, shape (m, k)
         Orthonormal; what it spans is regressed on as well.
     channels : int
+    lost : int
+        Number of columns that were projected out of both before.
 
     Returns
     -------
@@ -159,8 +166,10 @@ def t_value(
     rows = left.reshape(-1, channels)
     width = max(correlation_time(rows[:, k]) for k in range(channels))
     lags = min(int(3 * width) + 1, len(products) // 8, 400)
-    variance = float(bartlett(products[:, None], lags)[0, 0])
-    return slope * size / float(np.sqrt(max(variance, 1e-300)))
+    coloured = float(bartlett(products[:, None], lags)[0, 0])
+    white = size * float(left @ left) / len(left)
+    freedom = max(len(left) - lost - basis.shape[1] - 1, 1) / len(left)
+    return slope * size / float(np.sqrt(max(coloured, white, 1e-300) / freedom))
 
 
 def nrmse(problem: Problem, estimate: Estimate) -> np.ndarray:

@@ -224,6 +224,11 @@ class Linearisation:
     remaining: np.ndarray
     bases: list[np.ndarray]
 
+    @property
+    def states(self) -> int:
+        """Number of initial states that are projected out, over all windows."""
+        return sum(int(np.any(basis, axis=1).sum()) for basis in self.bases)
+
     def without_states(self, residuals: list[np.ndarray]) -> np.ndarray:
         """Remove from weighted outputs, (w, samples, ny) each, what initial states explain; (m,)."""
         return np.concatenate(

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import kstest, norm
 
-from physid.criticism.evidence import t_value
+from physid.criticism.evidence import LARGEST, combined, t_value
 
 INSTANTS, CHANNELS = 3000, 2
 
@@ -43,3 +43,35 @@ def test_a_difference_that_the_parameters_can_make_says_nothing():
     _, noise, basis = drawn(2)
     assert abs(t_value(basis[:, 0], noise, basis[:, :1], CHANNELS)) < 5.0
     assert t_value(np.zeros_like(noise), noise, basis, CHANNELS) == 0.0
+
+
+@pytest.mark.parametrize("states", [0, 12])
+def test_what_is_projected_out_of_short_windows_is_counted(states):
+    """Windows' initial states take a part of the noise; the p-values must not notice."""
+    windows, samples = 30, 40
+    t = np.linspace(-1.0, 1.0, samples)
+    own = np.linalg.qr(np.stack([t**k for k in range(states)], axis=1))[0] if states else None
+    p_values = []
+    for seed in range(400):
+        rng = np.random.default_rng(seed)
+        rows = rng.standard_normal((2, windows, samples))
+        rows[0] = lfilter([1.0], [1.0, -0.9], rows[0], axis=1)
+        if own is not None:
+            rows = rows - rows @ own @ own.T
+        difference, noise = rows.reshape(2, -1)
+        basis = np.zeros((noise.size, 0))
+        p_values.append(norm.sf(t_value(difference, noise, basis, 1, states * windows)))
+    assert kstest(p_values, "uniform").pvalue > 0.01
+    assert np.mean(np.array(p_values) < 0.05) < 0.08
+
+
+def test_p_values_that_depend_on_each_other_are_combined():
+    rng = np.random.default_rng(1)
+    for share in (0.0, 0.7, 1.0):
+        common = rng.standard_normal(2000)
+        z = share**0.5 * common + (1.0 - share) ** 0.5 * rng.standard_normal((3, 2000))
+        found = [combined(p) for p in norm.sf(z).T]
+        assert np.mean(np.array(found) < 0.05) == pytest.approx(0.05, abs=0.015)
+    assert combined([1e-200, 1.0, 0.5]) == pytest.approx(3e-200)
+    assert combined([0.3, 0.3]) == pytest.approx(0.3)
+    assert combined([1.0, 1.0]) == pytest.approx(LARGEST)

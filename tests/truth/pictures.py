@@ -48,7 +48,8 @@ def matrix(lines: Sequence[Line], effects: Sequence[str]) -> go.Figure:
     counted = confusion(lines, effects)
     answers = [*effects, "nothing", "unexplained", "elsewhere", "several", "error"]
     seen = [a for a in answers if any(row[a] for row in counted.values())]
-    counts = np.array([[row[a] for a in seen] for row in counted.values()]).reshape(-1, len(seen))
+    counts = np.array([[row[a] for a in seen] for row in counted.values()])
+    counts = counts.reshape(len(counted), len(seen))
     shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
     heat = go.Heatmap(
         z=shares, x=seen, y=list(counted), text=counts, texttemplate="%{text}", zmin=0, zmax=1,
