@@ -21,13 +21,13 @@ from scipy.optimize import lsq_linear
 from physid.identification.columns import parameter_steps
 from physid.identification.experiment import Experiment, kinematics_of
 from physid.identification.problem import Problem
-from physid.plant.assembly import assemble, network_of, rates_of
+from physid.plant.assembly import assemble, forces_along, rates_of
 from physid.plant.callback import run_time_laws
 from physid.plant.family import Family
 from physid.plant.memory import beyond_motion
 from physid.plant.model import Model, Plant
-from physid.plant.network import Network
 from physid.plant.parameter import Parameter
+from physid.plant.parts import Parts, read_parts
 from physid.plant.simulation import Hold, Simulator, between_samples, delayed
 
 POINTS = 1000
@@ -136,11 +136,9 @@ def missing_force(plant: Plant, motion: Motion, *, compiled: bool) -> tuple[np.n
     the latter is left out (zeros).
     """
     model, data = plant.model, mujoco.MjData(plant.model)
-    network = network_of(plant, data) if compiled else None
-    if network is not None:
-        mass = np.zeros((model.nv, model.nv))
-        mujoco.mj_fullM(model, data, mass)
-        lacking = _missing(network, mass, plant, motion, exact=False)
+    parts = read_parts(plant, data) if compiled else None
+    if parts is not None:
+        lacking = _missing(parts, plant, motion, exact=False)
         return lacking, np.zeros_like(lacking)
     n = len(motion.time)
     needed, applied = np.empty((n, model.nv)), np.empty((n, model.nv))
@@ -159,17 +157,16 @@ def missing_force(plant: Plant, motion: Motion, *, compiled: bool) -> tuple[np.n
     return needed - applied, applied
 
 
-def _missing(
-    network: Network, mass: np.ndarray, plant: Plant, motion: Motion, *, exact: bool
-) -> np.ndarray:
+def _missing(parts: Parts, plant: Plant, motion: Motion, *, exact: bool) -> np.ndarray:
     """Return M (qdd - the network's acceleration), (n, nv)."""
     model = plant.model
     act = [_steady_activation(model, u) for u in motion.inputs] if model.na else []
     states = np.hstack(
         [motion.position, motion.speed, np.array(act).reshape(len(motion.time), model.na)]
     )
-    rates = rates_of(network, states, motion.inputs, exact=exact)
-    return np.asarray((motion.acceleration - rates[:, : model.nv]) @ mass)
+    rates = rates_of(assemble(parts), states, motion.inputs, exact=exact)
+    lacking = motion.acceleration - rates[:, : model.nv]
+    return np.asarray(forces_along(parts, motion.position, lacking))
 
 
 def _steady_activation(model: mujoco.MjModel, ctrl: np.ndarray) -> np.ndarray:
@@ -310,10 +307,7 @@ def missing_of(
     plants = [family.parts_at(theta)[0] for theta in thetas]
     found = []
     for motion in motions:
-        forces = [
-            _missing(assemble(parts), parts.mass, family.reference, motion, exact=True)
-            for parts in plants
-        ]
+        forces = [_missing(parts, family.reference, motion, exact=True) for parts in plants]
         found.append(_low_pass(np.hstack(forces), motion, 3.0 * width))
     joined = np.vstack(found)
     return joined.reshape(len(joined), len(plants), -1).transpose(1, 0, 2)

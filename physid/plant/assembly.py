@@ -9,6 +9,7 @@ from physid.plant.compiling import kept
 from physid.plant.model import Plant
 from physid.plant.network import Network, integrate
 from physid.plant.parts import read_parts
+from physid.plant.tree import mass_and_bias, workspace
 
 FRICTION_TENDON = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_TENDON)
 
@@ -31,7 +32,10 @@ def network_of(plant: Plant, data: mujoco.MjData) -> Network | None:
 def assemble(parts):  # type: ignore[no-untyped-def]  # noqa: C901 - three kinds of parts, one matrix
     """Put everything linear into one matrix; what is left stays an element (:class:`Network`)."""
     nv = parts.mass.shape[0]
-    inverse = np.linalg.inv(parts.mass)
+    # Where the mass turns, what stands for accelerations is forces: :class:`Network`.
+    inverse = np.eye(nv)
+    if not parts.tree_parents.size:
+        inverse[:] = np.linalg.inv(parts.mass)
     na, nu = 0, parts.limits.shape[0]
     for a in parts.actuators:
         na = max(na, int(a[11]) + 1)
@@ -119,7 +123,44 @@ def assemble(parts):  # type: ignore[no-untyped-def]  # noqa: C901 - three kinds
         parts.law_edges,
         parts.law_edge_kinds,
         parts.law_memories,
+        parts.tree_parents,
+        parts.tree_dofs,
+        parts.tree_bodies,
+        parts.tree_joints,
+        parts.tree_ancestors,
+        parts.tree_mass,
+        parts.tree_gravity,
     )
+
+
+@kept(error_model="numpy")
+def forces_along(parts, positions, accelerations):  # type: ignore[no-untyped-def]
+    """Return M(q) a (n, nv) of positions and accelerations (n, nv)."""
+    found = np.empty_like(accelerations)
+    if not parts.tree_parents.size:
+        for i in range(len(positions)):
+            found[i] = parts.mass @ accelerations[i]
+        return found
+    nv = positions.shape[1]
+    mass, bias, state = np.empty((nv, nv)), np.empty(nv), np.zeros(2 * nv)
+    work = workspace(parts.tree_parents.size, nv)
+    for i in range(len(positions)):
+        state[:nv] = positions[i]
+        mass_and_bias(
+            parts.tree_parents,
+            parts.tree_dofs,
+            parts.tree_bodies,
+            parts.tree_joints,
+            parts.tree_ancestors,
+            parts.tree_mass,
+            parts.tree_gravity,
+            work,
+            state,
+            mass,
+            bias,
+        )
+        found[i] = mass @ accelerations[i]
+    return found
 
 
 def agrees(

@@ -1,9 +1,11 @@
-"""The compiled back end: rigs with a constant mass matrix as a linear system plus scalar elements.
+"""The compiled back end: a linear system plus scalar elements.
 
     d(v, act)/dt = L (1, q, v, act, u) + sum over elements e of  M^-1 w_e' f_e(w_e q, w_e v, t)
 
 Whatever is linear stands in one matrix, so a rig without any other element is integrated by one small
-matrix product per step, and each further element costs some nanoseconds.  Nothing is restated here
+matrix product per step, and each further element costs some nanoseconds.  Where the mass matrix turns
+with the joints, L and w_e' give forces, and M^-1 and the forces of motion and gravity are found at every
+stage (:mod:`physid.plant.tree`).  Nothing else is restated here
 but the engine's own element formulas (polynomial springs and dampers, dead-band tendons, affine
 actuators, and its friction-loss constraint, solved exactly as a box-bounded quadratic problem).
 :mod:`physid.plant.assembly` reads a network from a compiled model.
@@ -20,13 +22,15 @@ import numpy as np
 
 from physid.plant.compiling import kept
 from physid.plant.law import call_law, call_memory_law, pointer_at
+from physid.plant.tree import invert, mass_and_bias, workspace
 
 
 class Network(NamedTuple):
-    """A constant-mass plant as plain arrays.
+    """A plant as plain arrays.
 
     The state is x = (q, v, act), (n,) = 2 nv + na.  ``*_rows`` (e, nv) give an element's coordinate,
-    ``*_pulls`` (e, nv) the acceleration per unit of its force, M^-1 w'.  Laws need not act along what
+    ``*_pulls`` (e, nv) the acceleration per unit of its force, M^-1 w'; with a ``tree`` it is the force
+    w' itself, and so it is for all that stands for an acceleration.  Laws need not act along what
     they feel: ``law_rates`` give their speed, and their pulls the direction of their force.
 
     ``linear`` (nv + na, 1 + n + nu): see the module.  ``limits`` (nu, 2): of the inputs.
@@ -69,6 +73,13 @@ class Network(NamedTuple):
     law_edges: np.ndarray
     law_edge_kinds: np.ndarray
     law_memories: np.ndarray
+    tree_parents: np.ndarray
+    tree_dofs: np.ndarray
+    tree_bodies: np.ndarray
+    tree_joints: np.ndarray
+    tree_ancestors: np.ndarray
+    tree_mass: np.ndarray
+    tree_gravity: np.ndarray
 
 
 @kept(nogil=True, error_model="numpy")
@@ -205,6 +216,16 @@ def _kept_beyond(value, side, low, high):  # type: ignore[no-untyped-def]
     return value
 
 
+@kept(nogil=True, error_model="numpy")
+def _lift(inverse, pulls, lifts):  # type: ignore[no-untyped-def]
+    """Write the accelerations M^-1 w' (e, nv) of forces w' (e, nv)."""
+    for e in range(pulls.shape[0]):
+        for i in range(pulls.shape[1]):
+            lifts[e, i] = 0.0
+            for j in range(pulls.shape[1]):
+                lifts[e, i] += inverse[i, j] * pulls[e, j]
+
+
 MOST_EVENTS = 24
 """Instants at which something comes to rest or to an edge, located within one step at most."""
 REST = 1e-9
@@ -274,6 +295,13 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
         law_edges,
         law_edge_kinds,
         law_memories,
+        tree_parents,
+        tree_dofs,
+        tree_bodies,
+        tree_joints,
+        tree_ancestors,
+        tree_mass,
+        tree_gravity,
     ) = net
     nv = sines.shape[0]
     n = initial.shape[1]
@@ -282,7 +310,8 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
     rubs = friction.shape[0]
     others = swings.size + springs.shape[0] + dampers.shape[0] + actuators.shape[0]
     laws = law_addresses.size
-    plain = others + laws == 0 and (exact or not rubs)
+    turns = tree_parents.size > 0
+    plain = others + laws == 0 and (exact or not rubs) and not turns
     wanted = rates.shape[0] > 0
     if plain:
         onward, drive = _one_step_map(linear, nv, n, h)
@@ -293,6 +322,15 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
             return
     else:
         onward, drive = np.zeros((0, 0)), np.zeros((0, 0))
+    # Accelerations per force; of a mass that turns they are found anew at every stage.
+    spring_lifts, damper_lifts, actuator_lifts = spring_pulls, damper_pulls, actuator_pulls
+    friction_lifts, law_lifts = friction_pulls, law_pulls
+    work = workspace(tree_parents.size, nv if turns else 0)
+    mass, inverse, bias = np.empty((nv, nv)), np.empty((nv, nv)), np.empty(nv)
+    if turns:
+        spring_lifts, damper_lifts = spring_pulls.copy(), damper_pulls.copy()
+        actuator_lifts, friction_lifts = actuator_pulls.copy(), friction_pulls.copy()
+        law_lifts, diagonals = law_pulls.copy(), diagonals.copy()
     u = np.zeros(nu)
     driven = np.zeros(m)
     pushed = np.zeros(m)
@@ -399,6 +437,36 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
                                 for j in range(n):
                                     value += linear[i, 1 + j] * stage[j]
                                 rate[nv + i] = value
+                            if turns:
+                                mass_and_bias(
+                                    tree_parents,
+                                    tree_dofs,
+                                    tree_bodies,
+                                    tree_joints,
+                                    tree_ancestors,
+                                    tree_mass,
+                                    tree_gravity,
+                                    work,
+                                    stage,
+                                    mass,
+                                    bias,
+                                )
+                                invert(mass, inverse)
+                                for i in range(nv):
+                                    bias[i] = rate[nv + i] - bias[i]
+                                for i in range(nv):
+                                    rate[nv + i] = 0.0
+                                    for j in range(nv):
+                                        rate[nv + i] += inverse[i, j] * bias[j]
+                                _lift(inverse, spring_pulls, spring_lifts)
+                                _lift(inverse, damper_pulls, damper_lifts)
+                                _lift(inverse, actuator_pulls, actuator_lifts)
+                                _lift(inverse, friction_pulls, friction_lifts)
+                                _lift(inverse, law_pulls, law_lifts)
+                                for e in range(rubs):
+                                    diagonals[e] = 0.0
+                                    for j in range(nv):
+                                        diagonals[e] += friction_rows[e, j] * friction_lifts[e, j]
                             for e in range(swings.size):
                                 j = swings[e]
                                 sine, cosine = math.sin(stage[j]), math.cos(stage[j])
@@ -416,7 +484,7 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
                                     z = 0.0
                                 f = -z * (springs[e, 1] + z * (springs[e, 2] + z * springs[e, 3]))
                                 for i in range(nv):
-                                    rate[nv + i] += spring_pulls[e, i] * f
+                                    rate[nv + i] += spring_lifts[e, i] * f
                             for e in range(dampers.shape[0]):
                                 v = 0.0
                                 for j in range(nv):
@@ -424,7 +492,7 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
                                 a = abs(v)
                                 f = -v * (dampers[e, 0] + a * (dampers[e, 1] + a * dampers[e, 2]))
                                 for i in range(nv):
-                                    rate[nv + i] += damper_pulls[e, i] * f
+                                    rate[nv + i] += damper_lifts[e, i] * f
                             for e in range(actuators.shape[0]):
                                 z = 0.0
                                 v = 0.0
@@ -444,7 +512,7 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
                                     f += actuators[e, 6] * math.sin(angle)
                                 f = min(max(f, actuators[e, 9]), actuators[e, 10])
                                 for i in range(nv):
-                                    rate[nv + i] += actuator_pulls[e, i] * f
+                                    rate[nv + i] += actuator_lifts[e, i] * f
                             for e in range(rubs):
                                 bound[e] = friction[e, 0]
                             for e in range(laws):
@@ -487,7 +555,7 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
                                     bound[rubbed] += abs(f)
                                     continue
                                 for i in range(nv):
-                                    rate[nv + i] += law_pulls[e, i] * f
+                                    rate[nv + i] += law_lifts[e, i] * f
                             # At a speed where its law jumps, a law whose force on either side drives
                             # back to it keeps the speed, with a force in between (Filippov).
                             for e in range(laws):
@@ -499,7 +567,7 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
                                 for j in range(nv):
                                     z += law_rows[e, j] * stage[j]
                                     a += law_rates[e, j] * rate[nv + j]
-                                    per += law_rates[e, j] * law_pulls[e, j]
+                                    per += law_rates[e, j] * law_lifts[e, j]
                                 on = met[e] if rides[e] == 0.0 else rides[e]
                                 first, second = law_edges[e, 0], law_edges[e, 1]
                                 constants = pointer_at(law_limits.ctypes.data + 8 * law_starts[e])
@@ -521,7 +589,7 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
                                         max(-a / per, min(inside, outside)), max(inside, outside)
                                     )
                                 for i in range(nv):
-                                    rate[nv + i] += law_pulls[e, i] * f
+                                    rate[nv + i] += law_lifts[e, i] * f
                             # min 1/2 f'(A + R) f + f'(a0 + B v), |f| <= F, by Gauss-Seidel: over all
                             # elements as the engine does, or R = B = 0 over those that stick.
                             if rests or (rubs and not exact):
@@ -529,7 +597,7 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
                                     if rubs == 1 or (exact and slides[e] != 0.0):
                                         rub[e] = 0.0
                                     for i in range(nv):
-                                        rate[nv + i] += friction_pulls[e, i] * rub[e]
+                                        rate[nv + i] += friction_lifts[e, i] * rub[e]
                                 for _sweep in range(200):
                                     largest = 0.0
                                     for e in range(rubs):
@@ -547,7 +615,7 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
                                         change = new - rub[e]
                                         rub[e] = new
                                         for i in range(nv):
-                                            rate[nv + i] += friction_pulls[e, i] * change
+                                            rate[nv + i] += friction_lifts[e, i] * change
                                         largest = max(largest, abs(change) / (bound[e] + 1e-300))
                                     if rubs == 1 or largest < 1e-13:
                                         break

@@ -1,8 +1,8 @@
-"""Reading the parts of a constant-mass rig from a compiled MuJoCo model.
+"""Reading the parts of a rig from a compiled MuJoCo model.
 
 Everything is read from the compiled model.  Whether a model consists of such parts is found out, not
 assumed: :func:`read_parts` returns None where the engine has what a network has not, and
-:func:`physid.plant.assembly.agrees` compares accelerations, which tells a mass matrix that varies.
+:func:`physid.plant.assembly.agrees` compares accelerations.
 
 Source: MuJoCo documentation, chapters Modeling and Computation.
 """
@@ -17,6 +17,7 @@ import numpy as np
 from physid.plant.memory import MEMORY
 from physid.plant.model import Plant
 from physid.plant.structure import tendon_row
+from physid.plant.tree import read_tree
 
 EDGES = ("position", "speed", "time")
 """What a law may have edges of, by number."""
@@ -25,10 +26,12 @@ TRANSMISSION_TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 
 
 class Parts(NamedTuple):
-    """What a constant-mass rig consists of, each part by itself.
+    """What a rig consists of, each part by itself.
 
     ``mass`` (nv, nv); ``gravity`` (nv, 1 + 2 nv): force as constant, sine and cosine parts of each
-    joint's angle; ``limits`` (nu, 2): of the inputs.  ``*_rows`` (e, nv): coordinates.  ``springs``: offset,
+    joint's angle; both zero where the mass turns with the joints, and ``tree_*``
+    (:data:`physid.plant.tree.Tree`) says how; ``limits`` (nu, 2): of the inputs.  ``*_rows`` (e, nv):
+    coordinates.  ``springs``: offset,
     k1, k2, k3, low, high.  ``dampers``: d1, d2, d3.  ``actuators``: gain 3, bias 3, cogging 3, force
     low and high, activation and ctrl number (-1: none), time constant (0: none).  ``friction``:
     force, R, B of the engine's constraint.  ``laws``: what they feel (``law_rows``, ``law_rates``) and push
@@ -60,6 +63,13 @@ class Parts(NamedTuple):
     law_edges: np.ndarray
     law_edge_kinds: np.ndarray
     law_memories: np.ndarray
+    tree_parents: np.ndarray
+    tree_dofs: np.ndarray
+    tree_bodies: np.ndarray
+    tree_joints: np.ndarray
+    tree_ancestors: np.ndarray
+    tree_mass: np.ndarray
+    tree_gravity: np.ndarray
 
 
 def read_parts(plant: Plant, data: mujoco.MjData) -> Parts | None:
@@ -86,9 +96,11 @@ def read_parts(plant: Plant, data: mujoco.MjData) -> Parts | None:
     mujoco.mj_fullM(model, data, mass)
     actuators = _actuators(model)
     friction = _friction(model, data)
-    if actuators is None or friction is None:
+    tree = read_tree(model, data)
+    if actuators is None or friction is None or tree is None:
         return None
-    gravity = _gravity(model, data)
+    turns = len(tree[0]) > 0
+    gravity = np.zeros((model.nv, 1 + 2 * model.nv)) if turns else _gravity(model, data)
     laws = plant.elements
     rows = np.array([e.rows for e in laws]).reshape(len(laws), 3, model.nv)
     law_rows, law_rates, directions = (np.ascontiguousarray(rows[:, k]) for k in range(3))
@@ -98,7 +110,7 @@ def read_parts(plant: Plant, data: mujoco.MjData) -> Parts | None:
     edges = [e.edges if e.edges[0] < e.edges[1] else (-np.inf, np.inf) for e in laws]
     lengths = [e.constants.size for e in laws]
     return Parts(
-        mass,
+        0.0 * mass if turns else mass,
         gravity,
         _input_limits(model),
         *_springs(model),
@@ -117,6 +129,7 @@ def read_parts(plant: Plant, data: mujoco.MjData) -> Parts | None:
         np.array(edges, dtype=float).reshape(len(laws), 2),
         np.array([EDGES.index(e.edge_of) for e in laws], dtype=np.int64),
         np.array([[e.activation, len(e.memory)] for e in laws], dtype=np.int64).reshape(-1, 2),
+        *tree,
     )
 
 
