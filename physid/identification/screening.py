@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -91,7 +92,7 @@ def _inertia_is_free(effect: Effect, place: Place, problem: Problem) -> bool:
     return f"{label}.inertia" in names or (slide and f"{label}.mass" in names)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Ground:
     """The fitted model to which candidates are held: residual and everything it already explains."""
 
@@ -102,6 +103,16 @@ class Ground:
     remaining: np.ndarray
     scales: dict[Place, Scales]
     near: Nearby | None = None
+
+    @cached_property
+    def solver(self) -> np.ndarray:
+        """From a residual (m,) to the parameters' change (p,) that fits it best: a pseudo-inverse (p, m).
+
+        It is computed once, for every candidate makes room.
+        """
+        columns = self.point.projected
+        sizes = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        return np.asarray(np.linalg.pinv(columns / sizes, rcond=1e-6) / sizes[:, None])
 
 
 def ground_of(problem: Problem, estimate: Estimate) -> Ground:
@@ -279,13 +290,10 @@ def _started(
 
 def _making_room(ground: Ground, response: np.ndarray) -> np.ndarray:
     """Return the model's parameters (p,) moved as a linear fit would once the effect responds so."""
-    columns, theta = ground.point.projected, ground.estimate.theta
+    theta = ground.estimate.theta
     if not len(theta):
         return theta
-    sizes = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    change = (
-        np.linalg.lstsq(columns / sizes, ground.point.remaining - response, rcond=1e-6)[0] / sizes
-    )
+    change = ground.solver @ (ground.point.remaining - response)
     parameters = ground.problem.parameters
     reach = np.array([0.7 * max(abs(t), p.scale) for p, t in zip(parameters, theta, strict=True)])
     moved = theta + np.clip(change, -reach, reach)
