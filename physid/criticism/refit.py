@@ -24,6 +24,9 @@ from physid.plant.structure import Place
 
 HORIZONS = {"short": SHORT, "long": LONG, "block": float("inf")}
 """Window lengths in typical periods at which candidates are fitted and judged."""
+ROOM = 0.98
+"""Largest share of the squares that a candidate may leave to have moved the model's own parameters: where
+these are as they were, no shape is seen that was not seen before."""
 
 
 def choosing_spans(samples: int) -> list[Span]:
@@ -147,6 +150,7 @@ def refit(
     rank: int,
     already: tuple[Placed, ...] = (),
     near: float = np.inf,
+    goal: float = np.inf,
 ) -> Refit | None:
     """Fit a candidate from several starts, on short windows and then on long ones.
 
@@ -161,6 +165,8 @@ def refit(
         How large things are at its place.
     near : float
         chi2 on long windows, after a first step, above which a start is not followed.
+    goal : float
+        chi2 on long windows to which a fit there must be on its way not to be given up.
 
     Returns
     -------
@@ -171,19 +177,16 @@ def refit(
     promising = _promising(base, inner, every, scales, near)
     if not promising:
         return None
-    best = _best_of(base, inner, promising, scales, rank, already)
+    best = _best_of(base, inner, promising, scales, rank, already, goal)
     if best is None or best.ratio(base, "long") > 1.0:
         # A fit that ends worse than the model it contains has lost its way.
-        others = _best_of(
-            base, inner, [s for s in every if s not in promising], scales, rank, already
-        )
-        best = _better(base, best, others)
-    if best is None or not any(c.shape or c.fixed for c in starts[0].placed.effect.coefficients):
+        rest = [s for s in every if s not in promising]
+        best = _better(base, best, _best_of(base, inner, rest, scales, rank, already, goal))
+    shaped = any(c.shape or c.fixed for c in starts[0].placed.effect.coefficients)
+    if best is None or not shaped or best.ratio(base, "long") > ROOM:
         return best
-    again = _best_of(
-        base, inner, _seen_from(base, inner, best, [*starts, *promising]), scales, rank, already
-    )
-    return _better(base, best, again)
+    seen = _seen_from(base, inner, best, [*starts, *promising])
+    return _better(base, best, _best_of(base, inner, seen, scales, rank, already, goal))
 
 
 def _better(base: Base, *fits: Refit | None) -> Refit | None:
@@ -243,12 +246,13 @@ def _best_of(
     scales: Scales,
     rank: int,
     already: tuple[Placed, ...],
+    goal: float = np.inf,
 ) -> Refit | None:
     """Fit a candidate from every start; return the best that still is the effect it is called."""
     best: Refit | None = None
     for start in starts:
         trial = with_candidate(inner, (start.placed,), scales)
-        fits = _fit_horizons(base, trial, start_of(inner, start.theta, trial))
+        fits = _fit_horizons(base, trial, start_of(inner, start.theta, trial), goal)
         if fits is None:
             continue
         added = (*already, start.placed)
@@ -334,21 +338,25 @@ def _logs(fit: Refit, base: Base) -> list[float]:
     return [float(np.log(fit.ratio(base, h))) for h in ("short", "long")]
 
 
-def _fit_horizons(base: Base, trial: Problem, start: np.ndarray) -> dict[str, Estimate] | None:
+def _fit_horizons(
+    base: Base, trial: Problem, start: np.ndarray, goal: float
+) -> dict[str, Estimate] | None:
     brief = trial.with_windows(base.problems["short"].windows)
     long = trial.with_windows(base.problems["long"].windows)
     try:
         short_fit = _fitted(base, brief, start, "short")
-        long_fit = _fitted(base, long, short_fit.theta, "long")
+        long_fit = _fitted(base, long, short_fit.theta, "long", goal)
         if long_fit.chi2 > 0.9 * base.fits["long"].chi2:
-            other = _fitted(base, long, start, "long")
+            other = _fitted(base, long, start, "long", goal)
             long_fit = min(long_fit, other, key=lambda e: e.chi2)
     except (NumericsError, ModelError):
         return None
     return {"short": short_fit, "long": long_fit}
 
 
-def _fitted(base: Base, problem: Problem, theta: np.ndarray, horizon: str) -> Estimate:
+def _fitted(
+    base: Base, problem: Problem, theta: np.ndarray, horizon: str, goal: float = np.inf
+) -> Estimate:
     return minimise(
         problem,
         theta,
@@ -356,6 +364,7 @@ def _fitted(base: Base, problem: Problem, theta: np.ndarray, horizon: str) -> Es
         iterations=8,
         tolerance=2e-3,
         guess=base.guess(problem, horizon),
+        goal=goal,
     )
 
 

@@ -27,6 +27,7 @@ from physid.criticism.refit import (
 from physid.criticism.timing import between_stretches
 from physid.effects.catalogue import effects_of
 from physid.errors import NumericsError
+from physid.identification.estimate import Estimate
 from physid.identification.linearisation import reduce
 from physid.identification.problem import Problem
 from physid.identification.screening import possible_candidates
@@ -95,14 +96,10 @@ def search(
     """
     report(f"screening {len(candidates)} candidates", 0.0)
     long = base.problems["long"]
-    grounds = grounds_of(base.problems, base.fits)
     worst = base.fits["long"].squares
     unexplained = worst > NOISE_LIKE * long.measurements()
-    if unexplained:
-        with suppress(NumericsError):
-            grounds.insert(0, (long, undistorted(study, long)))
-    if not compiled(long):
-        del grounds[1:]
+    quiet = _is_quiet(base)
+    grounds = _grounds(study, base, unexplained=unexplained, quiet=quiet)
     groups = screened(grounds, candidates, REFITS, TRIALS)
     # Where a lead or a partner may sit, its size is known as well.
     scales = scales_of(long, base.fits["long"]) | {g.place: g.scales for g in groups}
@@ -114,9 +111,12 @@ def search(
     kept = windowed(study.problem, HORIZONS["long"], judging_spans)
     later: list[int] = []
     order = _cheapest_first(groups)
+    if quiet:
+        # What is little is told well by its linear gain; the first is followed to show it.
+        order = order[:1] + [k for k in order[1:] if groups[k].gains.max() >= LEAST_GAIN]
     for done, k in enumerate(order):
         group = groups[k]
-        report(f"refitting {group.effect.name}", 0.15 + 0.5 * done / len(groups))
+        report(f"refitting {group.effect.name}", 0.15 + 0.5 * done / len(order))
         explaining = [f for f in fits if noise_like(base, f)]
         if any(_contains(group, f) for f in explaining):
             later.append(k)
@@ -125,7 +125,7 @@ def search(
         # there is nothing to explain and all look alike.
         twin = unexplained and any(_looks_like(group, f, groups) for f in explaining)
         near = limit if explaining and not twin else np.inf
-        fits += _refitted(base, long, kept, group, k, near)
+        fits += _refitted(base, long, kept, group, k, near, _goal(base, fits))
     fits = _best_with_blocks(base, _with_siblings(base, fits, scales), scales)
     factor = NOISE_ALONE if compiled(long) else NOISE_LIKE
     if later and fits and not noise_like(base, fits[0], factor):
@@ -153,10 +153,46 @@ def _refitted(
     group: Group,
     rank: int,
     near: float = np.inf,
+    goal: float = np.inf,
 ) -> list[Refit]:
     """Refit one effect at one place from all its starts; empty where it cannot be."""
-    found = refit(base, problem, group.starts, group.scales, rank=rank, near=near)
+    found = refit(base, problem, group.starts, group.scales, rank=rank, near=near, goal=goal)
     return [] if found is None else [between_stretches(found, kept)]
+
+
+def _grounds(
+    study: Study, base: Base, *, unexplained: bool, quiet: bool
+) -> list[tuple[Problem, Estimate]]:
+    """Return where candidates are screened: at every horizon, and where the model is not distorted.
+
+    Where MuJoCo simulates, one ground must do.  So it may where no more than noise is left: nothing is
+    distorted that one could show better than another, and the longest windows, with the fewest
+    initial states, tell most.
+    """
+    grounds = grounds_of(base.problems, base.fits)
+    if quiet:
+        return grounds[-1:]
+    if unexplained:
+        long = base.problems["long"]
+        with suppress(NumericsError):
+            grounds.insert(0, (long, undistorted(study, long)))
+    return grounds if compiled(base.problems["long"]) else grounds[:1]
+
+
+def _is_quiet(base: Base) -> bool:
+    """Say whether the base model leaves no more than noise at every horizon."""
+    return all(
+        f.squares <= NOISE_LIKE * base.problems[h].measurements() for h, f in base.fits.items()
+    )
+
+
+def _goal(base: Base, fits: Sequence[Refit]) -> float:
+    """Return the squares on long windows a fit must be on its way to: no more than the base's, or the best.
+
+    What comes behind the best :data:`PARTNERS` is neither named nor gets a partner.
+    """
+    squares = sorted(f.fits["long"].squares for f in fits)
+    return min([base.fits["long"].squares, *squares[PARTNERS - 1 : PARTNERS]])
 
 
 def _cheapest_first(groups: Sequence[Group]) -> list[int]:
@@ -330,6 +366,7 @@ def _pairs(
             )
         ]
         grounds = grounds_of(problems, single.fits)
+        left = single.fits["long"].squares + base.problems["long"].measurements()
         for group in screened(grounds, rest, most, 1):
             pair = refit(
                 base,
@@ -338,6 +375,7 @@ def _pairs(
                 group.scales,
                 rank=single.rank,
                 already=single.added,
+                goal=0.5 * left,
             )
             if pair is None:
                 continue
