@@ -52,6 +52,13 @@ def noise_like(base: Base, fit: Refit, factor: float = NOISE_LIKE) -> bool:
     return all(fit.fits[h].squares <= factor * base.problems[h].measurements() for h in fit.fits)
 
 
+def quiet_base(base: Base) -> bool:
+    """Say whether the base model leaves no more than noise, but for a factor, at every horizon."""
+    return all(
+        f.squares <= NOISE_LIKE * base.problems[h].measurements() for h, f in base.fits.items()
+    )
+
+
 def explained(base: Base, fit: Refit) -> float:
     """Return the share of the base's excess squares that a candidate removes, at its best long horizon."""
     return max(_removed(base, fit, h) for h in fit.fits if h != "short")

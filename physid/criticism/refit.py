@@ -183,7 +183,8 @@ def refit(
         rest = [s for s in every if s not in promising]
         best = _better(base, best, _best_of(base, inner, rest, scales, rank, already, goal))
     shaped = any(c.shape or c.fixed for c in starts[0].placed.effect.coefficients)
-    if best is None or not shaped or best.ratio(base, "long") > ROOM:
+    enough = min(ROOM * base.fits["long"].squares, goal)
+    if best is None or not shaped or best.fits["long"].squares > enough:
         return best
     seen = _seen_from(base, inner, best, [*starts, *promising])
     return _better(base, best, _best_of(base, inner, seen, scales, rank, already, goal))
@@ -252,7 +253,8 @@ def _best_of(
     best: Refit | None = None
     for start in starts:
         trial = with_candidate(inner, (start.placed,), scales)
-        fits = _fit_horizons(base, trial, start_of(inner, start.theta, trial), goal)
+        reached = goal if best is None else min(goal, best.fits["long"].squares)
+        fits = _fit_horizons(base, trial, start_of(inner, start.theta, trial), reached)
         if fits is None:
             continue
         added = (*already, start.placed)
@@ -368,15 +370,19 @@ def _fitted(
     )
 
 
-def with_block(base: Base, fit: Refit) -> Refit:
-    """Fit a candidate on whole stretches too, where the base model can be simulated over them."""
+def with_block(base: Base, fit: Refit, goal: float = np.inf) -> Refit:
+    """Fit a candidate on whole stretches too, where the base model can be simulated over them.
+
+    What is too slow for a goal there, in chi2, is given up.
+    """
     if "block" not in base.fits:
         return fit
     problem = fit.problem.with_windows(base.problems["block"].windows)
     tried = []
     for horizon in ("long", "short"):
         try:
-            tried.append(minimise(problem, fit.fits[horizon].theta, iterations=10, tolerance=2e-3))
+            theta = fit.fits[horizon].theta
+            tried.append(minimise(problem, theta, iterations=10, tolerance=2e-3, goal=goal))
         except (NumericsError, ModelError):
             continue
         if tried[-1].chi2 < 0.5 * base.fits["block"].chi2:

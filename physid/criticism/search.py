@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
 from physid.criticism.evidence import nrmse
-from physid.criticism.grounds import Group, grounds_of, screened, undistorted
+from physid.criticism.grounds import Group, grounds_for, grounds_of, screened
 from physid.criticism.leads import Lead, led
-from physid.criticism.merit import LEAST_GAIN, NOISE_LIKE, explained, halves, noise_like, score
+from physid.criticism.merit import (
+    LEAST_GAIN,
+    NOISE_LIKE,
+    explained,
+    halves,
+    noise_like,
+    quiet_base,
+    score,
+)
 from physid.criticism.refit import (
     HORIZONS,
     Base,
@@ -27,7 +34,6 @@ from physid.criticism.refit import (
 from physid.criticism.timing import between_stretches
 from physid.effects.catalogue import effects_of
 from physid.errors import NumericsError
-from physid.identification.estimate import Estimate
 from physid.identification.linearisation import reduce
 from physid.identification.problem import Problem
 from physid.identification.screening import possible_candidates
@@ -98,9 +104,10 @@ def search(
     long = base.problems["long"]
     worst = base.fits["long"].squares
     unexplained = worst > NOISE_LIKE * long.measurements()
-    quiet = _is_quiet(base)
-    grounds = _grounds(study, base, unexplained=unexplained, quiet=quiet)
-    groups = screened(grounds, candidates, REFITS, TRIALS)
+    quiet = quiet_base(base)
+    groups = screened(
+        grounds_for(study, base, unexplained=unexplained, quiet=quiet), candidates, REFITS, TRIALS
+    )
     # Where a lead or a partner may sit, its size is known as well.
     scales = scales_of(long, base.fits["long"]) | {g.place: g.scales for g in groups}
     fits = led(base, leads, scales)
@@ -160,39 +167,13 @@ def _refitted(
     return [] if found is None else [between_stretches(found, kept)]
 
 
-def _grounds(
-    study: Study, base: Base, *, unexplained: bool, quiet: bool
-) -> list[tuple[Problem, Estimate]]:
-    """Return where candidates are screened: at every horizon, and where the model is not distorted.
-
-    Where MuJoCo simulates, one ground must do.  So it may where no more than noise is left: nothing is
-    distorted that one could show better than another, and the longest windows, with the fewest
-    initial states, tell most.
-    """
-    grounds = grounds_of(base.problems, base.fits)
-    if quiet:
-        return grounds[-1:]
-    if unexplained:
-        long = base.problems["long"]
-        with suppress(NumericsError):
-            grounds.insert(0, (long, undistorted(study, long)))
-    return grounds if compiled(base.problems["long"]) else grounds[:1]
-
-
-def _is_quiet(base: Base) -> bool:
-    """Say whether the base model leaves no more than noise at every horizon."""
-    return all(
-        f.squares <= NOISE_LIKE * base.problems[h].measurements() for h, f in base.fits.items()
-    )
-
-
-def _goal(base: Base, fits: Sequence[Refit]) -> float:
-    """Return the squares on long windows a fit must be on its way to: no more than the base's, or the best.
+def _goal(base: Base, fits: Sequence[Refit], horizon: str = "long") -> float:
+    """Return the squares a fit must be on its way to: no more than the base's, or those of the best.
 
     What comes behind the best :data:`PARTNERS` is neither named nor gets a partner.
     """
-    squares = sorted(f.fits["long"].squares for f in fits)
-    return min([base.fits["long"].squares, *squares[PARTNERS - 1 : PARTNERS]])
+    squares = sorted(f.fits[horizon].squares for f in fits)
+    return min([base.fits[horizon].squares, *squares[PARTNERS - 1 : PARTNERS]])
 
 
 def _cheapest_first(groups: Sequence[Group]) -> list[int]:
@@ -303,7 +284,10 @@ def _best_with_blocks(
     ordered = sorted(fits, key=lambda f: score(base, f, horizons))
     clear = bool(ordered) and score(base, ordered[0], horizons) < -LEAST_GAIN
     promising = ordered[: SHOWN if clear else FEW]
-    done = [f if "block" in f.fits else with_block(base, f) for f in promising]
+    done: list[Refit] = []
+    for fit in promising:
+        known = "block" in fit.fits or "block" not in base.fits
+        done.append(fit if known else with_block(base, fit, _goal(base, done, "block")))
     kept = [f for f in done if f.plausible(scales)]
     return sorted(kept, key=lambda f: score(base, f, tuple(base.fits)))
 

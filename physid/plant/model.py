@@ -10,14 +10,12 @@ import mujoco
 import numpy as np
 
 from physid.errors import ModelError, available
-from physid.plant.delays import HELD, held_delay, take_delays, write_delay
-from physid.plant.effect import Coefficient, Effect, Element, Placed, spec_element
+from physid.plant.delays import take_delays
+from physid.plant.effect import Coefficient, Effect, Element, Placed
 from physid.plant.loading import without_looks
 from physid.plant.memory import add_memory, memory_name
 from physid.plant.parameter import (
-    ATTRIBUTES,
     Parameter,
-    element_id,
     every_name,
     read_parameter,
     sharpen_friction,
@@ -25,6 +23,7 @@ from physid.plant.parameter import (
     units_of,
     write_unit,
 )
+from physid.plant.specification import at_values
 from physid.plant.structure import Place, Structure, structure_of
 
 ELEMENT_TABLE = "physid:elements"
@@ -356,43 +355,10 @@ class Model:
         if key not in known:
             while len(known) >= MOST_SPECS:
                 known.pop(next(iter(known)))
+            values = [(*self._split(name), value) for name, value in self.values.items()]
             # The base is kept beside it, so that its number stays its own.
-            known[key] = base, self._written(base, timestep)
+            known[key] = base, at_values(base, self.nominal, values, (self.dt, timestep))
         return known[key][1].copy()
-
-    def _written(self, base: mujoco.MjSpec, timestep: float) -> mujoco.MjSpec:
-        spec = base.copy()
-        spec.option.timestep = timestep
-        spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
-        spec.option.tolerance = 1e-14
-        for actuator in spec.actuators:
-            if actuator.dyntype == mujoco.mjtDyn.mjDYN_FILTEREXACT:
-                # The exact step formula is meant for Euler; inside RK4 the plain filter is exact.
-                actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTER
-            if actuator.interp != HELD:
-                write_delay(actuator, held_delay(actuator, self.dt), timestep)
-        parsed = [(self._split(name), value) for name, value in self.values.items()]
-        if any(place.kind == "body" for (place, _), _ in parsed):
-            self._make_inertials_explicit(spec)
-        for (place, attribute), value in parsed:
-            ATTRIBUTES[place.kind, attribute].write(spec_element(spec, place), value)
-        return spec
-
-    def _make_inertials_explicit(self, spec: mujoco.MjSpec) -> None:
-        """Write every body's inertia out, so that nothing the compiler infers overrides a value."""
-        spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
-        spec.compiler.settotalmass = -1.0
-        for place in self.structure.of_kind("body"):
-            i = element_id(self.nominal, place)
-            for attribute, value in (
-                ("mass", float(self.nominal.body_mass[i])),
-                ("ipos", self.nominal.body_ipos[i].copy()),
-                ("iquat", self.nominal.body_iquat[i].copy()),
-                ("inertia", self.nominal.body_inertia[i].copy()),
-                ("fullinertia", np.full(6, np.nan)),
-                ("explicitinertial", True),
-            ):
-                setattr(spec.body(place.name), attribute, value)
 
     def to_xml(self, timestep: float) -> str:
         """Write the model as MJCF, with run-time effects as ``<custom>`` entries ``physid:...``.
