@@ -13,7 +13,8 @@ from itertools import zip_longest
 
 import numpy as np
 
-from physid.criticism.refit import Base, Start, alike
+from physid.criticism.base import Base
+from physid.criticism.refit import Start, alike
 from physid.errors import NumericsError
 from physid.identification.estimate import Estimate
 from physid.identification.nearby import nearby

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from physid.criticism.base import Base
 from physid.criticism.evidence import colour
-from physid.criticism.refit import Base, Refit
+from physid.criticism.refit import Refit
 from physid.identification.problem import Problem
 from physid.identification.windows import state_indices
 

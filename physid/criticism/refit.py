@@ -4,55 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
+from physid.criticism.base import Base
 from physid.errors import ModelError, NumericsError
 from physid.identification.estimate import Estimate
 from physid.identification.force_balance import observable, solve_balance, widths
-from physid.identification.linearisation import Reduced, extended
-from physid.identification.output_error import Guess, minimise
+from physid.identification.output_error import minimise
 from physid.identification.problem import Problem
 from physid.identification.screening import screen
-from physid.identification.staged import LONG, SHORT, states_only
-from physid.identification.windows import Span
+from physid.identification.staged import states_only
 from physid.plant.effect import Placed, Scales
 from physid.plant.model import Model
 from physid.plant.parameter import Parameter
 from physid.plant.structure import Place
 
-HORIZONS = {"short": SHORT, "long": LONG, "block": float("inf")}
-"""Window lengths in typical periods at which candidates are fitted and judged."""
 ROOM = 0.98
 """Largest share of the squares that a candidate may leave to have moved the model's own parameters: where
 these are as they were, no shape is seen that was not seen before."""
-
-
-def choosing_spans(samples: int) -> list[Span]:
-    """Return the stretches used for choosing: the first and the fourth to fifth sixth-pairs of a record."""
-    sixth = samples // 6
-    return [(0, 2 * sixth), (3 * sixth, 5 * sixth)]
-
-
-def judging_spans(samples: int) -> list[Span]:
-    """Return the stretches kept for judging: a sixth after each stretch used for choosing."""
-    sixth = samples // 6
-    return [(2 * sixth, 3 * sixth), (5 * sixth, 6 * sixth)]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Base:
-    """The base model on the choosing data: problem, fit and linearisation at each horizon."""
-
-    problems: dict[str, Problem]
-    fits: dict[str, Estimate]
-    points: dict[str, Reduced]
-
-    def guess(self, problem: Problem, horizon: str) -> Guess:
-        """Return how to linearise a candidate roughly: what it shares with the base is known."""
-        names = [p.name for p in self.problems[horizon].parameters]
-        return partial(extended, self.points[horizon], names, problem)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -279,8 +249,10 @@ def _promising(
         return list(starts)
     shaped = any(c.shape or c.fixed for c in starts[0].placed.effect.coefficients)
     chosen: list[int] = []
+    # Starts are told from one another on a part of the windows; where a limit counts, on all.
+    judge = base.few if base.few is not None and not np.isfinite(near) else base
     for horizon in ("long", "short") if shaped else ("long",):
-        costs = [_first_cost(base, inner, start, scales, horizon) for start in starts]
+        costs = [_first_cost(judge, inner, start, scales, horizon) for start in starts]
         if horizon == "long" and not min(costs) < near:
             return []
         order = [int(k) for k in np.argsort(costs) if np.isfinite(costs[k])]
@@ -346,7 +318,8 @@ def _fit_horizons(
     brief = trial.with_windows(base.problems["short"].windows)
     long = trial.with_windows(base.problems["long"].windows)
     try:
-        short_fit = _fitted(base, brief, start, "short")
+        # A fit that ends worse than the model it contains leads nowhere.
+        short_fit = _fitted(base, brief, start, "short", base.fits["short"].squares)
         long_fit = _fitted(base, long, short_fit.theta, "long", goal)
         if long_fit.chi2 > 0.9 * base.fits["long"].chi2:
             other = _fitted(base, long, start, "long", goal)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from physid.criticism.base import HORIZONS, Base, choosing_spans, judging_spans
 from physid.criticism.evidence import nrmse
 from physid.criticism.grounds import Group, grounds_for, grounds_of, screened
 from physid.criticism.leads import Lead, led
@@ -19,18 +20,7 @@ from physid.criticism.merit import (
     quiet_base,
     score,
 )
-from physid.criticism.refit import (
-    HORIZONS,
-    Base,
-    Refit,
-    Start,
-    choosing_spans,
-    judging_spans,
-    refit,
-    start_of,
-    with_block,
-    without_partner,
-)
+from physid.criticism.refit import Refit, Start, refit, start_of, with_block, without_partner
 from physid.criticism.timing import between_stretches
 from physid.effects.catalogue import effects_of
 from physid.errors import NumericsError
@@ -143,7 +133,7 @@ def search(
     if not partnered:
         return fits
     report("trying pairs", 0.7)
-    pairs = _pairs(base, fits, partnered, candidates)
+    pairs = _pairs(base, fits, partnered, candidates, limit)
     if pairs:
         fits = _with_siblings(base, [*fits, *pairs], scales)
     fits = _best_with_blocks(base, fits, scales)
@@ -233,7 +223,7 @@ def base_of(study: Study) -> Base:
     except NumericsError:
         pass
     points = {h: reduce(problems[h], f.theta, f.states, f.residuals) for h, f in fits.items()}
-    return Base(problems=problems, fits=fits, points=points)
+    return Base(problems=problems, fits=fits, points=points).with_few()
 
 
 def _with_siblings(base: Base, fits: list[Refit], scales: dict[Place, Scales]) -> list[Refit]:
@@ -334,8 +324,12 @@ def _pairs(
     fits: Sequence[Refit],
     singles: Sequence[Refit],
     candidates: Sequence[tuple[Effect, Place]],
+    limit: float,
 ) -> list[Refit]:
-    """Try a second effect beside some singles; keep a pair that halves what remains."""
+    """Try a second effect beside some singles; keep a pair that halves what remains.
+
+    Beside a pair that leaves noise alone, what does not come below a limit is not followed.
+    """
     found: list[Refit] = []
     wanted = list(candidates)
     most = PARTNERS - 1 if len(singles) > 1 else REFITS
@@ -359,6 +353,7 @@ def _pairs(
                 group.scales,
                 rank=single.rank,
                 already=single.added,
+                near=limit if any(noise_like(base, f) for f in found) else np.inf,
                 goal=0.5 * left,
             )
             if pair is None:
