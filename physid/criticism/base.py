@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -15,6 +16,10 @@ from physid.identification.windows import Span
 
 HORIZONS = {"short": SHORT, "long": LONG, "block": float("inf")}
 """Window lengths in typical periods at which candidates are fitted and judged."""
+NOISE_ALONE = 1.03
+"""A residual within this factor leaves nothing for another start, nor for an effect that contains the one
+that left it; for the latter not asked for where MuJoCo simulates, whose friction leaves more than noise at
+any step."""
 PART = 3
 """One window in so many tells starts apart."""
 
@@ -47,6 +52,13 @@ class Base:
         """Return how to linearise a candidate roughly: what it shares with the base is known."""
         names = [p.name for p in self.problems[horizon].parameters]
         return partial(extended, self.points[horizon], names, problem)
+
+    def leaves_noise(self, fits: Mapping[str, Estimate]) -> bool:
+        """Say whether a candidate's fits on windows leave noise alone."""
+        return all(
+            fits[h].squares <= NOISE_ALONE * self.problems[h].measurements()
+            for h in ("short", "long")
+        )
 
     def with_few(self) -> Base:
         """Return it with its ``few``, if :data:`PART` of the windows still are some."""

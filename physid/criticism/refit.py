@@ -153,8 +153,9 @@ def refit(
         rest = [s for s in every if s not in promising]
         best = _better(base, best, _best_of(base, inner, rest, scales, rank, already, goal))
     shaped = any(c.shape or c.fixed for c in starts[0].placed.effect.coefficients)
-    enough = min(ROOM * base.fits["long"].squares, goal)
-    if best is None or not shaped or best.fits["long"].squares > enough:
+    if best is None or not shaped or base.leaves_noise(best.fits):
+        return best
+    if best.fits["long"].squares > min(ROOM * base.fits["long"].squares, goal):
         return best
     seen = _seen_from(base, inner, best, [*starts, *promising])
     return _better(base, best, _best_of(base, inner, seen, scales, rank, already, goal))
@@ -232,8 +233,10 @@ def _best_of(
         found = Refit(added=added, problem=trial, fits=fits, extra=extra, rank=rank)
         if not start.placed.effect.plausible(found.fitted[-1].values, scales):
             continue
-        if best is None or sum(_logs(found, base)) < sum(_logs(best, base)):
-            best = found
+        best = _better(base, best, found)
+        # In a model that leaves noise alone as it is, a start tells nothing of the others.
+        if base.leaves_noise(fits) and not base.leaves_noise(base.fits):
+            break
     return best
 
 

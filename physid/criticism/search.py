@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from physid.criticism.base import HORIZONS, Base, choosing_spans, judging_spans
+from physid.criticism.base import HORIZONS, NOISE_ALONE, Base, choosing_spans, judging_spans
 from physid.criticism.evidence import nrmse
 from physid.criticism.grounds import Group, grounds_for, grounds_of, screened
 from physid.criticism.leads import Lead, led
@@ -58,9 +58,6 @@ NEARLY = 0.01
 """... or this share of the squares that the model leaves: a step that takes so much leads somewhere."""
 SAME = 10.0
 """Difference of the information criterion within which two fits of one law end."""
-NOISE_ALONE = 1.03
-"""A residual within this factor leaves nothing for an effect that contains the one that left it; not
-asked for where MuJoCo simulates, whose friction leaves more than noise at any step."""
 WELL_NAMED = 0.95
 """... beyond which no pair is looked for."""
 
