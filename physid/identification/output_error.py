@@ -32,7 +32,7 @@ CLOSE = 0.02
 SERVES = 0.7
 """Least share of the predicted fall that a step must bring for its columns to serve again."""
 Guess = Callable[[np.ndarray, list[np.ndarray], list[np.ndarray]], Reduced | None]
-SETTLING = 2
+SETTLING = 3
 """Linearisations before a fit's pace tells anything: the first steps are cut short or damped."""
 SHARES = (1.0, 1.0, 0.4, 0.15, 0.05, 0.015, 0.004)
 """Shares of a step that are tried in turn; the damping grows while they are 1."""
