@@ -92,9 +92,10 @@ def search(
     worst = base.fits["long"].squares
     unexplained = worst > NOISE_LIKE * long.measurements()
     quiet = quiet_base(base)
-    groups = screened(
-        grounds_for(study, base, unexplained=unexplained, quiet=quiet), candidates, REFITS, TRIALS
-    )
+    grounds = grounds_for(study, base, unexplained=unexplained, quiet=quiet)
+    # One ground that stands for several proposes as many as they would.
+    proposed = len(grounds_of(base.problems, base.fits)) if quiet else 1
+    groups = screened(grounds, candidates, proposed * REFITS, TRIALS)
     # Where a lead or a partner may sit, its size is known as well.
     scales = scales_of(long, base.fits["long"]) | {g.place: g.scales for g in groups}
     fits = led(base, leads, scales)
