@@ -342,7 +342,7 @@ def _pairs(
             )
         ]
         grounds = grounds_of(problems, single.fits)
-        left = single.fits["long"].squares + base.problems["long"].measurements()
+        goals = {h: _worth_a_pair(base, single, fits[0], h) for h in single.fits}
         for group in screened(grounds, rest, most, 1):
             pair = refit(
                 base,
@@ -352,11 +352,11 @@ def _pairs(
                 rank=single.rank,
                 already=single.added,
                 near=limit if any(noise_like(base, f) for f in found) else np.inf,
-                goal=0.5 * left,
+                goal=goals["long"],
             )
             if pair is None:
                 continue
-            pair = with_block(base, pair)
+            pair = with_block(base, pair, goals.get("block", np.inf))
             if any(frozenset(f.sites()) == frozenset(pair.sites()) for f in found):
                 continue
             if any(halves(base, single, pair, h) for h in base.fits):
@@ -364,6 +364,12 @@ def _pairs(
         if any(noise_like(base, pair, NOISE_ALONE) for pair in found):
             break  # no pair from a worse single can do better
     return found
+
+
+def _worth_a_pair(base: Base, single: Refit, best: Refit, horizon: str) -> float:
+    """Return the squares below which a pair halves what a single leaves beyond noise and beats the best one."""
+    halved = 0.5 * (single.fits[horizon].squares + base.problems[horizon].measurements())
+    return min(halved, best.fits[horizon].squares)
 
 
 def _ordered(base: Base, pair: Refit, singles: Sequence[Refit]) -> Refit:
