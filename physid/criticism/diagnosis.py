@@ -9,14 +9,11 @@ from typing import Any, Literal
 import numpy as np
 
 from physid.criticism.account import effect_row, finite
+from physid.criticism.base import Base, judging_spans
 from physid.criticism.evidence import Judgement, benches, judge
 from physid.criticism.leads import Lead, lead_notes, possible_leads, sites_of
 from physid.criticism.merit import LEAST_GAIN, NOISE_LIKE, explained, score
-from physid.criticism.refit import (
-    Base,
-    Refit,
-    judging_spans,
-)
+from physid.criticism.refit import Refit
 from physid.criticism.search import base_of, search, windows_of
 from physid.identification.screening import Ground, possible_candidates
 from physid.identification.study import Study

@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtr
 
-from physid.criticism.refit import Base, Refit
+from physid.criticism.base import Base
+from physid.criticism.refit import Refit
 from physid.errors import NumericsError
 from physid.identification.estimate import Estimate
 from physid.identification.linearisation import linearise

@@ -13,6 +13,7 @@ from itertools import zip_longest
 
 import numpy as np
 
+from physid.criticism.base import Base
 from physid.criticism.refit import Start, alike
 from physid.errors import NumericsError
 from physid.identification.estimate import Estimate
@@ -85,6 +86,25 @@ def grounds_of(
 ) -> list[tuple[Problem, Estimate]]:
     """Return where a model is held to its candidates: every horizon, or the long one in MuJoCo."""
     return [(problems[h], fits[h]) for h in fits if h == "long" or compiled(problems[h])]
+
+
+def grounds_for(
+    study: Study, base: Base, *, unexplained: bool, quiet: bool
+) -> list[tuple[Problem, Estimate]]:
+    """Return where single effects are screened: at every horizon, and where the model is not distorted.
+
+    Where MuJoCo simulates, one ground must do.  So it may where no more than noise is left: nothing is
+    distorted that one could show better than another, and the longest windows, with the fewest
+    initial states, tell most.
+    """
+    grounds = grounds_of(base.problems, base.fits)
+    if quiet:
+        return grounds[-1:]
+    long = base.problems["long"]
+    if unexplained:
+        with suppress(NumericsError):
+            grounds.insert(0, (long, undistorted(study, long)))
+    return grounds if compiled(long) else grounds[:1]
 
 
 def screened(

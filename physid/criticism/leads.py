@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import Any
 
-from physid.criticism.refit import Base, Refit, Start, refit
+from physid.criticism.base import Base
+from physid.criticism.refit import Refit, Start, refit
 from physid.effects.catalogue import check_place, check_value, effect_named, places_of
 from physid.errors import InputError
 from physid.identification.screening import is_in_model

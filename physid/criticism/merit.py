@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from physid.criticism.base import Base
 from physid.criticism.evidence import colour
-from physid.criticism.refit import Base, Refit
+from physid.criticism.refit import Refit
 from physid.identification.problem import Problem
 from physid.identification.windows import state_indices
 
@@ -50,6 +51,13 @@ def effective_samples(base: Base, fit: Refit, horizon: str) -> float:
 def noise_like(base: Base, fit: Refit, factor: float = NOISE_LIKE) -> bool:
     """Say whether a candidate leaves no more than noise, but for a factor, at every horizon."""
     return all(fit.fits[h].squares <= factor * base.problems[h].measurements() for h in fit.fits)
+
+
+def quiet_base(base: Base) -> bool:
+    """Say whether the base model leaves no more than noise, but for a factor, at every horizon."""
+    return all(
+        f.squares <= NOISE_LIKE * base.problems[h].measurements() for h, f in base.fits.items()
+    )
 
 
 def explained(base: Base, fit: Refit) -> float:

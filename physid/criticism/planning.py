@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from physid.criticism.base import HORIZONS
 from physid.criticism.limits import Limits
 from physid.criticism.proposal import LEVELS, Plan, Proposal, proposals, within
-from physid.criticism.refit import HORIZONS
 from physid.criticism.separation import Apart, Rival, apart, planned, probability
 from physid.errors import NumericsError
 from physid.identification.staged import compiled

@@ -4,52 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
+from physid.criticism.base import Base
 from physid.errors import ModelError, NumericsError
 from physid.identification.estimate import Estimate
 from physid.identification.force_balance import observable, solve_balance, widths
-from physid.identification.linearisation import Reduced, extended
-from physid.identification.output_error import Guess, minimise
+from physid.identification.output_error import minimise
 from physid.identification.problem import Problem
 from physid.identification.screening import screen
-from physid.identification.staged import LONG, SHORT, states_only
-from physid.identification.windows import Span
+from physid.identification.staged import states_only
 from physid.plant.effect import Placed, Scales
 from physid.plant.model import Model
 from physid.plant.parameter import Parameter
 from physid.plant.structure import Place
 
-HORIZONS = {"short": SHORT, "long": LONG, "block": float("inf")}
-"""Window lengths in typical periods at which candidates are fitted and judged."""
-
-
-def choosing_spans(samples: int) -> list[Span]:
-    """Return the stretches used for choosing: the first and the fourth to fifth sixth-pairs of a record."""
-    sixth = samples // 6
-    return [(0, 2 * sixth), (3 * sixth, 5 * sixth)]
-
-
-def judging_spans(samples: int) -> list[Span]:
-    """Return the stretches kept for judging: a sixth after each stretch used for choosing."""
-    sixth = samples // 6
-    return [(2 * sixth, 3 * sixth), (5 * sixth, 6 * sixth)]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Base:
-    """The base model on the choosing data: problem, fit and linearisation at each horizon."""
-
-    problems: dict[str, Problem]
-    fits: dict[str, Estimate]
-    points: dict[str, Reduced]
-
-    def guess(self, problem: Problem, horizon: str) -> Guess:
-        """Return how to linearise a candidate roughly: what it shares with the base is known."""
-        names = [p.name for p in self.problems[horizon].parameters]
-        return partial(extended, self.points[horizon], names, problem)
+ROOM = 0.98
+"""Largest share of the squares that a candidate may leave to have moved the model's own parameters: where
+these are as they were, no shape is seen that was not seen before."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -147,6 +120,7 @@ def refit(
     rank: int,
     already: tuple[Placed, ...] = (),
     near: float = np.inf,
+    goal: float = np.inf,
 ) -> Refit | None:
     """Fit a candidate from several starts, on short windows and then on long ones.
 
@@ -161,6 +135,8 @@ def refit(
         How large things are at its place.
     near : float
         chi2 on long windows, after a first step, above which a start is not followed.
+    goal : float
+        chi2 on long windows to which a fit there must be on its way not to be given up.
 
     Returns
     -------
@@ -171,19 +147,18 @@ def refit(
     promising = _promising(base, inner, every, scales, near)
     if not promising:
         return None
-    best = _best_of(base, inner, promising, scales, rank, already)
+    best = _best_of(base, inner, promising, scales, rank, already, goal)
     if best is None or best.ratio(base, "long") > 1.0:
         # A fit that ends worse than the model it contains has lost its way.
-        others = _best_of(
-            base, inner, [s for s in every if s not in promising], scales, rank, already
-        )
-        best = _better(base, best, others)
-    if best is None or not any(c.shape or c.fixed for c in starts[0].placed.effect.coefficients):
+        rest = [s for s in every if s not in promising]
+        best = _better(base, best, _best_of(base, inner, rest, scales, rank, already, goal))
+    shaped = any(c.shape or c.fixed for c in starts[0].placed.effect.coefficients)
+    if best is None or not shaped or base.leaves_noise(best.fits):
         return best
-    again = _best_of(
-        base, inner, _seen_from(base, inner, best, [*starts, *promising]), scales, rank, already
-    )
-    return _better(base, best, again)
+    if best.fits["long"].squares > min(ROOM * base.fits["long"].squares, goal):
+        return best
+    seen = _seen_from(base, inner, best, [*starts, *promising])
+    return _better(base, best, _best_of(base, inner, seen, scales, rank, already, goal))
 
 
 def _better(base: Base, *fits: Refit | None) -> Refit | None:
@@ -243,12 +218,14 @@ def _best_of(
     scales: Scales,
     rank: int,
     already: tuple[Placed, ...],
+    goal: float = np.inf,
 ) -> Refit | None:
     """Fit a candidate from every start; return the best that still is the effect it is called."""
     best: Refit | None = None
     for start in starts:
         trial = with_candidate(inner, (start.placed,), scales)
-        fits = _fit_horizons(base, trial, start_of(inner, start.theta, trial))
+        reached = goal if best is None else min(goal, best.fits["long"].squares)
+        fits = _fit_horizons(base, trial, start_of(inner, start.theta, trial), reached)
         if fits is None:
             continue
         added = (*already, start.placed)
@@ -256,8 +233,10 @@ def _best_of(
         found = Refit(added=added, problem=trial, fits=fits, extra=extra, rank=rank)
         if not start.placed.effect.plausible(found.fitted[-1].values, scales):
             continue
-        if best is None or sum(_logs(found, base)) < sum(_logs(best, base)):
-            best = found
+        best = _better(base, best, found)
+        # In a model that leaves noise alone as it is, a start tells nothing of the others.
+        if base.leaves_noise(fits) and not base.leaves_noise(base.fits):
+            break
     return best
 
 
@@ -273,8 +252,10 @@ def _promising(
         return list(starts)
     shaped = any(c.shape or c.fixed for c in starts[0].placed.effect.coefficients)
     chosen: list[int] = []
+    # Starts are told from one another on a part of the windows; where a limit counts, on all.
+    judge = base.few if base.few is not None and not np.isfinite(near) else base
     for horizon in ("long", "short") if shaped else ("long",):
-        costs = [_first_cost(base, inner, start, scales, horizon) for start in starts]
+        costs = [_first_cost(judge, inner, start, scales, horizon) for start in starts]
         if horizon == "long" and not min(costs) < near:
             return []
         order = [int(k) for k in np.argsort(costs) if np.isfinite(costs[k])]
@@ -334,21 +315,26 @@ def _logs(fit: Refit, base: Base) -> list[float]:
     return [float(np.log(fit.ratio(base, h))) for h in ("short", "long")]
 
 
-def _fit_horizons(base: Base, trial: Problem, start: np.ndarray) -> dict[str, Estimate] | None:
+def _fit_horizons(
+    base: Base, trial: Problem, start: np.ndarray, goal: float
+) -> dict[str, Estimate] | None:
     brief = trial.with_windows(base.problems["short"].windows)
     long = trial.with_windows(base.problems["long"].windows)
     try:
-        short_fit = _fitted(base, brief, start, "short")
-        long_fit = _fitted(base, long, short_fit.theta, "long")
+        # A fit that ends worse than the model it contains leads nowhere.
+        short_fit = _fitted(base, brief, start, "short", base.fits["short"].squares)
+        long_fit = _fitted(base, long, short_fit.theta, "long", goal)
         if long_fit.chi2 > 0.9 * base.fits["long"].chi2:
-            other = _fitted(base, long, start, "long")
+            other = _fitted(base, long, start, "long", goal)
             long_fit = min(long_fit, other, key=lambda e: e.chi2)
     except (NumericsError, ModelError):
         return None
     return {"short": short_fit, "long": long_fit}
 
 
-def _fitted(base: Base, problem: Problem, theta: np.ndarray, horizon: str) -> Estimate:
+def _fitted(
+    base: Base, problem: Problem, theta: np.ndarray, horizon: str, goal: float = np.inf
+) -> Estimate:
     return minimise(
         problem,
         theta,
@@ -356,18 +342,23 @@ def _fitted(base: Base, problem: Problem, theta: np.ndarray, horizon: str) -> Es
         iterations=8,
         tolerance=2e-3,
         guess=base.guess(problem, horizon),
+        goal=goal,
     )
 
 
-def with_block(base: Base, fit: Refit) -> Refit:
-    """Fit a candidate on whole stretches too, where the base model can be simulated over them."""
+def with_block(base: Base, fit: Refit, goal: float = np.inf) -> Refit:
+    """Fit a candidate on whole stretches too, where the base model can be simulated over them.
+
+    What is too slow for a goal there, in chi2, is given up.
+    """
     if "block" not in base.fits:
         return fit
     problem = fit.problem.with_windows(base.problems["block"].windows)
     tried = []
     for horizon in ("long", "short"):
         try:
-            tried.append(minimise(problem, fit.fits[horizon].theta, iterations=10, tolerance=2e-3))
+            theta = fit.fits[horizon].theta
+            tried.append(minimise(problem, theta, iterations=10, tolerance=2e-3, goal=goal))
         except (NumericsError, ModelError):
             continue
         if tried[-1].chi2 < 0.5 * base.fits["block"].chi2:

@@ -3,27 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
+from physid.criticism.base import HORIZONS, NOISE_ALONE, Base, choosing_spans, judging_spans
 from physid.criticism.evidence import nrmse
-from physid.criticism.grounds import Group, grounds_of, screened, undistorted
+from physid.criticism.grounds import Group, grounds_for, grounds_of, screened
 from physid.criticism.leads import Lead, led
-from physid.criticism.merit import LEAST_GAIN, NOISE_LIKE, explained, halves, noise_like, score
-from physid.criticism.refit import (
-    HORIZONS,
-    Base,
-    Refit,
-    Start,
-    choosing_spans,
-    judging_spans,
-    refit,
-    start_of,
-    with_block,
-    without_partner,
+from physid.criticism.merit import (
+    LEAST_GAIN,
+    NOISE_LIKE,
+    explained,
+    halves,
+    noise_like,
+    quiet_base,
+    score,
 )
+from physid.criticism.refit import Refit, Start, refit, start_of, with_block, without_partner
 from physid.criticism.timing import between_stretches
 from physid.effects.catalogue import effects_of
 from physid.errors import NumericsError
@@ -61,9 +58,6 @@ NEARLY = 0.01
 """... or this share of the squares that the model leaves: a step that takes so much leads somewhere."""
 SAME = 10.0
 """Difference of the information criterion within which two fits of one law end."""
-NOISE_ALONE = 1.03
-"""A residual within this factor leaves nothing for an effect that contains the one that left it; not
-asked for where MuJoCo simulates, whose friction leaves more than noise at any step."""
 WELL_NAMED = 0.95
 """... beyond which no pair is looked for."""
 
@@ -95,15 +89,13 @@ def search(
     """
     report(f"screening {len(candidates)} candidates", 0.0)
     long = base.problems["long"]
-    grounds = grounds_of(base.problems, base.fits)
     worst = base.fits["long"].squares
     unexplained = worst > NOISE_LIKE * long.measurements()
-    if unexplained:
-        with suppress(NumericsError):
-            grounds.insert(0, (long, undistorted(study, long)))
-    if not compiled(long):
-        del grounds[1:]
-    groups = screened(grounds, candidates, REFITS, TRIALS)
+    quiet = quiet_base(base)
+    grounds = grounds_for(study, base, unexplained=unexplained, quiet=quiet)
+    # One ground that stands for several proposes as many as they would.
+    proposed = len(grounds_of(base.problems, base.fits)) if quiet else 1
+    groups = screened(grounds, candidates, proposed * REFITS, TRIALS)
     # Where a lead or a partner may sit, its size is known as well.
     scales = scales_of(long, base.fits["long"]) | {g.place: g.scales for g in groups}
     fits = led(base, leads, scales)
@@ -114,9 +106,12 @@ def search(
     kept = windowed(study.problem, HORIZONS["long"], judging_spans)
     later: list[int] = []
     order = _cheapest_first(groups)
+    if quiet:
+        # What is little is told well by its linear gain; the first is followed to show it.
+        order = order[:1] + [k for k in order[1:] if groups[k].gains.max() >= LEAST_GAIN]
     for done, k in enumerate(order):
         group = groups[k]
-        report(f"refitting {group.effect.name}", 0.15 + 0.5 * done / len(groups))
+        report(f"refitting {group.effect.name}", 0.15 + 0.5 * done / len(order))
         explaining = [f for f in fits if noise_like(base, f)]
         if any(_contains(group, f) for f in explaining):
             later.append(k)
@@ -125,7 +120,7 @@ def search(
         # there is nothing to explain and all look alike.
         twin = unexplained and any(_looks_like(group, f, groups) for f in explaining)
         near = limit if explaining and not twin else np.inf
-        fits += _refitted(base, long, kept, group, k, near)
+        fits += _refitted(base, long, kept, group, k, near, _goal(base, fits))
     fits = _best_with_blocks(base, _with_siblings(base, fits, scales), scales)
     factor = NOISE_ALONE if compiled(long) else NOISE_LIKE
     if later and fits and not noise_like(base, fits[0], factor):
@@ -136,7 +131,7 @@ def search(
     if not partnered:
         return fits
     report("trying pairs", 0.7)
-    pairs = _pairs(base, fits, partnered, candidates)
+    pairs = _pairs(base, fits, partnered, candidates, limit)
     if pairs:
         fits = _with_siblings(base, [*fits, *pairs], scales)
     fits = _best_with_blocks(base, fits, scales)
@@ -153,10 +148,20 @@ def _refitted(
     group: Group,
     rank: int,
     near: float = np.inf,
+    goal: float = np.inf,
 ) -> list[Refit]:
     """Refit one effect at one place from all its starts; empty where it cannot be."""
-    found = refit(base, problem, group.starts, group.scales, rank=rank, near=near)
+    found = refit(base, problem, group.starts, group.scales, rank=rank, near=near, goal=goal)
     return [] if found is None else [between_stretches(found, kept)]
+
+
+def _goal(base: Base, fits: Sequence[Refit], horizon: str = "long") -> float:
+    """Return the squares a fit must be on its way to: no more than the base's, or those of the best.
+
+    What comes behind the best :data:`PARTNERS` is neither named nor gets a partner.
+    """
+    squares = sorted(f.fits[horizon].squares for f in fits)
+    return min([base.fits[horizon].squares, *squares[PARTNERS - 1 : PARTNERS]])
 
 
 def _cheapest_first(groups: Sequence[Group]) -> list[int]:
@@ -216,7 +221,7 @@ def base_of(study: Study) -> Base:
     except NumericsError:
         pass
     points = {h: reduce(problems[h], f.theta, f.states, f.residuals) for h, f in fits.items()}
-    return Base(problems=problems, fits=fits, points=points)
+    return Base(problems=problems, fits=fits, points=points).with_few()
 
 
 def _with_siblings(base: Base, fits: list[Refit], scales: dict[Place, Scales]) -> list[Refit]:
@@ -267,7 +272,10 @@ def _best_with_blocks(
     ordered = sorted(fits, key=lambda f: score(base, f, horizons))
     clear = bool(ordered) and score(base, ordered[0], horizons) < -LEAST_GAIN
     promising = ordered[: SHOWN if clear else FEW]
-    done = [f if "block" in f.fits else with_block(base, f) for f in promising]
+    done: list[Refit] = []
+    for fit in promising:
+        known = "block" in fit.fits or "block" not in base.fits
+        done.append(fit if known else with_block(base, fit, _goal(base, done, "block")))
     kept = [f for f in done if f.plausible(scales)]
     return sorted(kept, key=lambda f: score(base, f, tuple(base.fits)))
 
@@ -314,8 +322,12 @@ def _pairs(
     fits: Sequence[Refit],
     singles: Sequence[Refit],
     candidates: Sequence[tuple[Effect, Place]],
+    limit: float,
 ) -> list[Refit]:
-    """Try a second effect beside some singles; keep a pair that halves what remains."""
+    """Try a second effect beside some singles; keep a pair that halves what remains.
+
+    Beside a pair that leaves noise alone, what does not come below a limit is not followed.
+    """
     found: list[Refit] = []
     wanted = list(candidates)
     most = PARTNERS - 1 if len(singles) > 1 else REFITS
@@ -330,6 +342,7 @@ def _pairs(
             )
         ]
         grounds = grounds_of(problems, single.fits)
+        goals = {h: _worth_a_pair(base, single, fits[0], h) for h in single.fits}
         for group in screened(grounds, rest, most, 1):
             pair = refit(
                 base,
@@ -338,10 +351,12 @@ def _pairs(
                 group.scales,
                 rank=single.rank,
                 already=single.added,
+                near=limit if any(noise_like(base, f) for f in found) else np.inf,
+                goal=goals["long"],
             )
             if pair is None:
                 continue
-            pair = with_block(base, pair)
+            pair = with_block(base, pair, goals.get("block", np.inf))
             if any(frozenset(f.sites()) == frozenset(pair.sites()) for f in found):
                 continue
             if any(halves(base, single, pair, h) for h in base.fits):
@@ -349,6 +364,12 @@ def _pairs(
         if any(noise_like(base, pair, NOISE_ALONE) for pair in found):
             break  # no pair from a worse single can do better
     return found
+
+
+def _worth_a_pair(base: Base, single: Refit, best: Refit, horizon: str) -> float:
+    """Return the squares below which a pair halves what a single leaves beyond noise and beats the best one."""
+    halved = 0.5 * (single.fits[horizon].squares + base.problems[horizon].measurements())
+    return min(halved, best.fits[horizon].squares)
 
 
 def _ordered(base: Base, pair: Refit, singles: Sequence[Refit]) -> Refit:

@@ -26,7 +26,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from physid.criticism.refit import HORIZONS, Base, Refit, choosing_spans
+from physid.criticism.base import HORIZONS, Base, choosing_spans
+from physid.criticism.refit import Refit
 from physid.errors import DivergedError
 from physid.identification.experiment import Experiment
 from physid.identification.linearisation import Linearisation, Reduced, linearise, reduce

@@ -8,7 +8,7 @@ Steps are Levenberg-Marquardt (More 1978) with bounds kept by a bounded least-sq
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +32,8 @@ CLOSE = 0.02
 SERVES = 0.7
 """Least share of the predicted fall that a step must bring for its columns to serve again."""
 Guess = Callable[[np.ndarray, list[np.ndarray], list[np.ndarray]], Reduced | None]
+SETTLING = 3
+"""Linearisations before a fit's pace tells anything: the first steps are cut short or damped."""
 SHARES = (1.0, 1.0, 0.4, 0.15, 0.05, 0.015, 0.004)
 """Shares of a step that are tried in turn; the damping grows while they are 1."""
 
@@ -47,6 +49,7 @@ def minimise(
     point: Reduced | None = None,
     guess: Guess | None = None,
     keep: bool = False,
+    goal: float = np.inf,
 ) -> Estimate:
     """Fit parameters and initial states.
 
@@ -69,6 +72,9 @@ def minimise(
         From the start and its residuals to a rough linearisation, which is tried first.
     keep : bool
         Whether the estimate keeps the last linearisation, of a step that moved next to nothing.
+    goal : float
+        Stop where chi2 would not come below this by the last linearisation, were every one that is left
+        to gain what the one before it gained.
 
     Returns
     -------
@@ -88,16 +94,20 @@ def minimise(
         raise DivergedError(divergence_sentence(problem, residuals))
     damping, done, gained = 1e-6, False, 0.0
     iteration = 0
+    passed: list[float] = []
     if guess is not None:
         point = guess(theta, states, residuals)
     rough = guess is not None and point is not None
     fresh, last, at = not rough, None, theta
     while (iteration < iterations or not fresh) and not done:
+        if fresh and _falls_short(passed, chi2, iterations - iteration, goal):
+            break
         if point is None:
             point = reduce(problem, theta, states, residuals)
         if fresh:
             rough, last, at = False, point, theta
-            iteration += 1
+            passed.append(chi2)
+            iteration = len(passed)
         step, damping = _descend(
             problem, point, (theta, states, chi2), damping, tolerance, once=not fresh
         )
@@ -134,6 +144,13 @@ def minimise(
         converged=done,
         point=last if keep and done and _close(problem, theta, at) else None,
     )
+
+
+def _falls_short(passed: Sequence[float], chi2: float, left: int, goal: float) -> bool:
+    """Say whether a fit is too slow for a goal, by its chi2 at every linearisation before and now."""
+    if len(passed) < SETTLING or not np.isfinite(goal):
+        return False
+    return bool(chi2 - left * (passed[-1] - chi2) > goal)
 
 
 class _Step(NamedTuple):

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -30,10 +31,14 @@ KEPT = 10
 """... and so many on all."""
 CLOSER = 3
 """Times that shapes are looked for around the best one."""
+CONTENDERS = 20
+"""Effects at places for which that is done, best first: several times as many as a shortlist takes, for
+shapes in between gain little more than those next to them."""
 FEWEST_WINDOWS = 4
 """Windows from which on a third of them tells shapes apart."""
 MOST_SAMPLES = 12000
 """Samples used for screening; more are thinned by leaving out windows."""
+_Score = tuple[float, Trial, np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,7 +96,7 @@ def _inertia_is_free(effect: Effect, place: Place, problem: Problem) -> bool:
     return f"{label}.inertia" in names or (slide and f"{label}.mass" in names)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Ground:
     """The fitted model to which candidates are held: residual and everything it already explains."""
 
@@ -102,6 +107,16 @@ class Ground:
     remaining: np.ndarray
     scales: dict[Place, Scales]
     near: Nearby | None = None
+
+    @cached_property
+    def solver(self) -> np.ndarray:
+        """From a residual (m,) to the parameters' change (p,) that fits it best: a pseudo-inverse (p, m).
+
+        It is computed once, for every candidate makes room.
+        """
+        columns = self.point.projected
+        sizes = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        return np.asarray(np.linalg.pinv(columns / sizes, rcond=1e-6) / sizes[:, None])
 
 
 def ground_of(problem: Problem, estimate: Estimate) -> Ground:
@@ -178,17 +193,30 @@ def screen(
     problem, estimate = thinned_fit(problem, estimate)
     ground = ground_of(problem, estimate)
     sketch = _sketch(problem, estimate)
-    found: list[Scored] = []
+    coarse: list[tuple[Effect, Place, list[_Score]]] = []
     for effect, place in candidates:
         if place in ground.scales:
             trials = _promising(sketch, effect, place, effect.trials(ground.scales[place]))
-            own = sorted(_scores(ground, effect, place, trials), key=lambda s: -s[0])
-            for level in range(1, CLOSER + 1 if own else 0):
-                more = effect.closer(own[0][1], ground.scales[place], level)
-                found_closer = _scores(ground, effect, place, more) if more else []
-                own = sorted([*own, *found_closer], key=lambda s: -s[0])
-            found += [_started(ground, effect, place, *s) for s in own[:per_effect]]
+            own = _scores(ground, effect, place, trials)
+            if own:
+                coarse.append((effect, place, sorted(own, key=lambda s: -s[0])))
+    coarse.sort(key=lambda c: -c[2][0][0])
+    found: list[Scored] = []
+    for rank, (effect, place, own) in enumerate(coarse):
+        if rank < CONTENDERS:
+            own = _looked_closer(ground, effect, place, own)
+        found += [_started(ground, effect, place, *s) for s in own[:per_effect]]
     return sorted(found, key=lambda s: -s.gain)
+
+
+def _looked_closer(ground: Ground, effect: Effect, place: Place, own: list[_Score]) -> list[_Score]:
+    """Score an effect in shapes ever nearer to its best one; return all, best first."""
+    for level in range(1, CLOSER + 1):
+        more = effect.closer(own[0][1], ground.scales[place], level)
+        own = sorted(
+            [*own, *(_scores(ground, effect, place, more) if more else [])], key=lambda s: -s[0]
+        )
+    return own
 
 
 def _sketch(problem: Problem, estimate: Estimate) -> Ground | None:
@@ -208,9 +236,7 @@ def _promising(
     return [s[1] for s in scored[:KEPT]] or trials
 
 
-def _scores(
-    ground: Ground, effect: Effect, place: Place, trials: Sequence[Trial]
-) -> list[tuple[float, Trial, np.ndarray, np.ndarray]]:
+def _scores(ground: Ground, effect: Effect, place: Place, trials: Sequence[Trial]) -> list[_Score]:
     """Return gain, trial, amplitudes (c,) and response (m,) of some shapes of an effect."""
     responses = iter(_responses(ground, effect, place, [c for t in trials for c in t.columns]))
     found = []
@@ -294,13 +320,10 @@ def _started(
 
 def _making_room(ground: Ground, response: np.ndarray) -> np.ndarray:
     """Return the model's parameters (p,) moved as a linear fit would once the effect responds so."""
-    columns, theta = ground.point.projected, ground.estimate.theta
+    theta = ground.estimate.theta
     if not len(theta):
         return theta
-    sizes = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    change = (
-        np.linalg.lstsq(columns / sizes, ground.point.remaining - response, rcond=1e-6)[0] / sizes
-    )
+    change = ground.solver @ (ground.point.remaining - response)
     parameters = ground.problem.parameters
     reach = np.array([0.7 * max(abs(t), p.scale) for p, t in zip(parameters, theta, strict=True)])
     moved = theta + np.clip(change, -reach, reach)

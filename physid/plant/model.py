@@ -10,14 +10,12 @@ import mujoco
 import numpy as np
 
 from physid.errors import ModelError, available
-from physid.plant.delays import HELD, held_delay, take_delays, write_delay
-from physid.plant.effect import Coefficient, Effect, Element, Placed, spec_element
+from physid.plant.delays import take_delays
+from physid.plant.effect import Coefficient, Effect, Element, Placed
 from physid.plant.loading import without_looks
 from physid.plant.memory import add_memory, memory_name
 from physid.plant.parameter import (
-    ATTRIBUTES,
     Parameter,
-    element_id,
     every_name,
     read_parameter,
     sharpen_friction,
@@ -25,7 +23,8 @@ from physid.plant.parameter import (
     units_of,
     write_unit,
 )
-from physid.plant.structure import Structure, structure_of
+from physid.plant.specification import at_values
+from physid.plant.structure import Place, Structure, structure_of
 
 ELEMENT_TABLE = "physid:elements"
 """Name of the table of run-time force laws in a compiled model; never written to a file."""
@@ -37,6 +36,8 @@ JOINT_WIDTH = 5
 """Numbers per joint of a law: addresses in qpos and qvel, factors of position, speed and force."""
 MOST_ELEMENTS = 4
 """Most run-time force laws of one effect."""
+MOST_SPECS = 4
+"""Specifications at given values that are kept: of a fit, and of two windows' steps or so."""
 
 
 class Instrument(NamedTuple):
@@ -138,8 +139,8 @@ class Model:
         """
         if "@" in name:
             return self._coefficient(name)
-        place, attribute = split_name(name, self.structure)
-        canonical = f"{self.structure.label(place)}.{attribute}"
+        place, attribute = self._split(name)
+        canonical = f"{self._label(place)}.{attribute}"
         found = read_parameter(self.nominal, place, attribute, canonical)
         value = self.values.get(canonical, found.value)
         return replace(found, value=value, scale=abs(value) or 1.0)
@@ -168,7 +169,21 @@ class Model:
 
     def site(self, placed: Placed) -> str:
         """Write an effect with its place: ``EFFECT@PLACE``."""
-        return f"{placed.effect.name}@{self.structure.label(placed.place)}"
+        return f"{placed.effect.name}@{self._label(placed.place)}"
+
+    def _label(self, place: Place) -> str:
+        """Write a place as users do; see :meth:`Structure.label`."""
+        known: dict[Place, str] = self.derived.setdefault("labels", {})
+        if place not in known:
+            known[place] = self.structure.label(place)
+        return known[place]
+
+    def _split(self, name: str) -> tuple[Place, str]:
+        """Read ``ELEMENT.ATTRIBUTE``; see :func:`split_name`."""
+        known: dict[str, tuple[Place, str]] = self.derived.setdefault("names", {})
+        if name not in known:
+            known[name] = split_name(name, self.structure)
+        return known[name]
 
     def effect_parameters(self) -> list[str]:
         """List the names of all fitted coefficients of the model's effects."""
@@ -192,18 +207,20 @@ class Model:
             If a name does not exist; the sentence lists those there are.
         """
         plain = {}
+        own = {self.coefficient_name(p, c) for p in self.effects for c in p.effect.coefficients}
         for name, value in values.items():
             if "@" in name:
-                self._coefficient(name)
+                if name not in own:
+                    self._coefficient(name)
                 continue
-            place, attribute = split_name(name, self.structure)
-            plain[f"{self.structure.label(place)}.{attribute}"] = float(value)
+            place, attribute = self._split(name)
+            plain[f"{self._label(place)}.{attribute}"] = float(value)
         placed = tuple(
             p.with_values(
                 {
-                    c.name: float(values[self.coefficient_name(p, c)])
+                    c.name: float(values[name])
                     for c in p.effect.coefficients
-                    if self.coefficient_name(p, c) in values
+                    if (name := self.coefficient_name(p, c)) in values
                 }
             )
             for p in self.effects
@@ -323,40 +340,25 @@ class Model:
         return found
 
     def _edited(self, base: mujoco.MjSpec, timestep: float) -> mujoco.MjSpec:
-        spec = base.copy()
-        spec.option.timestep = timestep
-        spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
-        spec.option.tolerance = 1e-14
-        for actuator in spec.actuators:
-            if actuator.dyntype == mujoco.mjtDyn.mjDYN_FILTEREXACT:
-                # The exact step formula is meant for Euler; inside RK4 the plain filter is exact.
-                actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTER
-            if actuator.interp != HELD:
-                write_delay(actuator, held_delay(actuator, self.dt), timestep)
-        parsed = [(split_name(name, self.structure), value) for name, value in self.values.items()]
-        if any(place.kind == "body" for (place, _), _ in parsed):
-            self._make_inertials_explicit(spec)
-        for (place, attribute), value in parsed:
-            ATTRIBUTES[place.kind, attribute].write(spec_element(spec, place), value)
+        spec = self._at_values(base, timestep)
         for placed in self.effects:
             placed.effect.edit(spec, placed.place, placed.values)
         return spec
 
-    def _make_inertials_explicit(self, spec: mujoco.MjSpec) -> None:
-        """Write every body's inertia out, so that nothing the compiler infers overrides a value."""
-        spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
-        spec.compiler.settotalmass = -1.0
-        for place in self.structure.of_kind("body"):
-            i = element_id(self.nominal, place)
-            for attribute, value in (
-                ("mass", float(self.nominal.body_mass[i])),
-                ("ipos", self.nominal.body_ipos[i].copy()),
-                ("iquat", self.nominal.body_iquat[i].copy()),
-                ("inertia", self.nominal.body_inertia[i].copy()),
-                ("fullinertia", np.full(6, np.nan)),
-                ("explicitinertial", True),
-            ):
-                setattr(spec.body(place.name), attribute, value)
+    def _at_values(self, base: mujoco.MjSpec, timestep: float) -> mujoco.MjSpec:
+        """Return a copy of the MJCF at the model's values, for effects to be written into.
+
+        The last ones are kept: many effects are tried beside the same values.
+        """
+        known: dict[object, tuple[mujoco.MjSpec, mujoco.MjSpec]] = self.derived.setdefault("at", {})
+        key = (id(base), timestep, tuple(self.values.items()))
+        if key not in known:
+            while len(known) >= MOST_SPECS:
+                known.pop(next(iter(known)))
+            values = [(*self._split(name), value) for name, value in self.values.items()]
+            # The base is kept beside it, so that its number stays its own.
+            known[key] = base, at_values(base, self.nominal, values, (self.dt, timestep))
+        return known[key][1].copy()
 
     def to_xml(self, timestep: float) -> str:
         """Write the model as MJCF, with run-time effects as ``<custom>`` entries ``physid:...``.

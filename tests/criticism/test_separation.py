@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from physid.criticism import instead
+from physid.criticism.base import choosing_spans
 from physid.criticism.limits import Limit, Limits, check_limits, limits_of
 from physid.criticism.planning import Task, plan_experiment
 from physid.criticism.proposal import proposals, within
-from physid.criticism.refit import Refit, choosing_spans, with_candidate
+from physid.criticism.refit import Refit, with_candidate
 from physid.criticism.search import base_of
 from physid.criticism.separation import apart, planned, probability, rival_of
 from physid.effects.catalogue import CATALOGUE

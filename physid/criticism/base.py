@@ -1,0 +1,77 @@
+"""The model as it stands on the data used for choosing: what candidates are compared with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+
+from physid.identification.estimate import Estimate
+from physid.identification.linearisation import Reduced, extended
+from physid.identification.output_error import Guess
+from physid.identification.problem import Problem
+from physid.identification.screening import every
+from physid.identification.staged import LONG, SHORT
+from physid.identification.windows import Span
+
+HORIZONS = {"short": SHORT, "long": LONG, "block": float("inf")}
+"""Window lengths in typical periods at which candidates are fitted and judged."""
+NOISE_ALONE = 1.03
+"""A residual within this factor leaves nothing for another start, nor for an effect that contains the one
+that left it; for the latter not asked for where MuJoCo simulates, whose friction leaves more than noise at
+any step."""
+PART = 3
+"""One window in so many tells starts apart."""
+
+
+def choosing_spans(samples: int) -> list[Span]:
+    """Return the stretches used for choosing: the first and the fourth to fifth sixth-pairs of a record."""
+    sixth = samples // 6
+    return [(0, 2 * sixth), (3 * sixth, 5 * sixth)]
+
+
+def judging_spans(samples: int) -> list[Span]:
+    """Return the stretches kept for judging: a sixth after each stretch used for choosing."""
+    sixth = samples // 6
+    return [(2 * sixth, 3 * sixth), (5 * sixth, 6 * sixth)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Base:
+    """The base model on the choosing data: problem, fit and linearisation at each horizon.
+
+    ``few`` is the same on a part of the windows, where there are enough of them.
+    """
+
+    problems: dict[str, Problem]
+    fits: dict[str, Estimate]
+    points: dict[str, Reduced]
+    few: Base | None = None
+
+    def guess(self, problem: Problem, horizon: str) -> Guess:
+        """Return how to linearise a candidate roughly: what it shares with the base is known."""
+        names = [p.name for p in self.problems[horizon].parameters]
+        return partial(extended, self.points[horizon], names, problem)
+
+    def leaves_noise(self, fits: Mapping[str, Estimate]) -> bool:
+        """Say whether a candidate's fits on windows leave noise alone."""
+        return all(
+            fits[h].squares <= NOISE_ALONE * self.problems[h].measurements()
+            for h in ("short", "long")
+        )
+
+    def with_few(self) -> Base:
+        """Return it with its ``few``, if :data:`PART` of the windows still are some."""
+        horizons = ("short", "long")
+        if any(len(w.starts) < 2 * PART for h in horizons for w in self.problems[h].windows):
+            return self
+        both = {h: every(PART, self.problems[h], self.fits[h]) for h in horizons}
+        few = Base(
+            problems={h: problem for h, (problem, _) in both.items()},
+            fits={h: replace(e, chi2=e.squares) for h, (_, e) in both.items()},
+            points={
+                h: replace(self.points[h], rows=[r[::PART] for r in self.points[h].rows])
+                for h in horizons
+            },
+        )
+        return replace(self, few=few)
