@@ -293,20 +293,23 @@ def _wanting_partners(base: Base, fits: Sequence[Refit]) -> list[Refit]:
     """Return the singles beside which a second effect is looked for; none where one explains all.
 
     An effect that contains a simpler one at its place may win only because its extra coefficients
-    imitate a second effect, so the simpler one gets its chance with a partner.
+    imitate a second effect, or one with a memory because that starts anew in every window; then the
+    simpler one gets its chance with a partner.
     """
     if not fits:
         return []
     best = fits[0]
-    simpler = [
-        f
-        for f in fits[1:]
-        if f.added[0].place == best.added[0].place
-        and f.added[0].effect.name in best.added[0].effect.supersedes
-    ]
+    simpler = [f for f in fits[1:] if _may_imitate(best, f)]
     if explained(base, best) >= WELL_NAMED or noise_like(base, best):
         return [] if noise_like(base, best) else simpler[:1]
     return _different(fits)[:PARTNERS]
+
+
+def _may_imitate(best: Refit, other: Refit) -> bool:
+    """Say whether the best may be no more than another with a partner: it has it in it, or it remembers."""
+    own, simpler = best.added[0], other.added[0]
+    contained = own.place == simpler.place and simpler.effect.name in own.effect.supersedes
+    return contained or bool(own.effect.memory and not simpler.effect.memory)
 
 
 def _pairs(

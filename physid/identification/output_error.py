@@ -77,7 +77,8 @@ def minimise(
     Raises
     ------
     DivergedError
-        If the simulation diverges at the start.
+        If the simulation diverges at the start, or next to it.  Next to a point reached later, as in a corner
+        of the bounds, it ends the fit at the point before.
     """
     theta = problem.start() if theta is None else theta.copy()
     states = problem.states() if states is None else [x.copy() for x in states]
@@ -92,9 +93,16 @@ def minimise(
         point = guess(theta, states, residuals)
     rough = guess is not None and point is not None
     fresh, last, at = not rough, None, theta
+    before_step: tuple[np.ndarray, list[np.ndarray], list[np.ndarray], float] | None = None
     while (iteration < iterations or not fresh) and not done:
         if point is None:
-            point = reduce(problem, theta, states, residuals)
+            try:
+                point = reduce(problem, theta, states, residuals)
+            except DivergedError:
+                if before_step is None:
+                    raise
+                theta, states, residuals, chi2 = before_step
+                break
         if fresh:
             rough, last, at = False, point, theta
             iteration += 1
@@ -123,6 +131,7 @@ def minimise(
             point = (
                 point.updated(step.shifts, change, residuals, step.residuals) if serves else None
             )
+        before_step = theta, states, residuals, chi2
         theta, states, residuals, chi2 = step.theta, step.states, step.residuals, step.chi2
         damping = max(damping * (0.1 if fall > 0.5 * step.predicted else 1.0), 1e-9)
     return Estimate(
