@@ -22,6 +22,10 @@ from physid.plant.model import Model
 from physid.plant.parameter import Parameter
 from physid.plant.structure import Place
 
+DISTORTED = 100.0
+"""Mean squares over the noise's from which the base's initial states are bent as much as the rest of it."""
+WELL_UNDER_WAY = 0.1
+"""Share of the base's squares below which a fit that has not ended yet goes on."""
 HORIZONS = {"short": SHORT, "long": LONG, "block": float("inf")}
 """Window lengths in typical periods at which candidates are fitted and judged."""
 
@@ -40,7 +44,10 @@ def judging_spans(samples: int) -> list[Span]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Base:
-    """The base model on the choosing data: problem, fit and linearisation at each horizon."""
+    """The base model on the choosing data: problem, fit and linearisation at each horizon.
+
+    A horizon without a linearisation is one next to which the simulation diverges.
+    """
 
     problems: dict[str, Problem]
     fits: dict[str, Estimate]
@@ -48,8 +55,19 @@ class Base:
 
     def guess(self, problem: Problem, horizon: str) -> Guess:
         """Return how to linearise a candidate roughly: what it shares with the base is known."""
+        if horizon not in self.points:
+            return lambda theta, states, residuals: None
         names = [p.name for p in self.problems[horizon].parameters]
         return partial(extended, self.points[horizon], names, problem)
+
+    def states(self, horizon: str) -> list[np.ndarray] | None:
+        """Return where a candidate's initial states start: the base's, or None for what is measured.
+
+        A model far from the record bends the states of its windows with everything else: from there the right
+        candidate ends in a minimum of its own.
+        """
+        fit, size = self.fits[horizon], self.problems[horizon].measurements()
+        return fit.states if fit.squares < DISTORTED * size else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -292,7 +310,7 @@ def _first_cost(base: Base, inner: Problem, start: Start, scales: Scales, horizo
         return minimise(
             trial,
             theta,
-            base.fits[horizon].states,
+            base.states(horizon),
             iterations=2 if horizon == "short" else 0,
             guess=base.guess(trial, horizon),
         ).chi2
@@ -349,14 +367,17 @@ def _fit_horizons(base: Base, trial: Problem, start: np.ndarray) -> dict[str, Es
 
 
 def _fitted(base: Base, problem: Problem, theta: np.ndarray, horizon: str) -> Estimate:
-    return minimise(
+    found = minimise(
         problem,
         theta,
-        base.fits[horizon].states,
+        base.states(horizon),
         iterations=8,
         tolerance=2e-3,
         guess=base.guess(problem, horizon),
     )
+    if found.converged or found.chi2 > WELL_UNDER_WAY * base.fits[horizon].chi2:
+        return found
+    return minimise(problem, found.theta, found.states, iterations=12, tolerance=2e-3)
 
 
 def with_block(base: Base, fit: Refit) -> Refit:

@@ -27,6 +27,7 @@ from physid.criticism.refit import (
 from physid.criticism.timing import between_stretches
 from physid.effects.catalogue import effects_of
 from physid.errors import NumericsError
+from physid.identification.estimate import Estimate
 from physid.identification.linearisation import reduce
 from physid.identification.problem import Problem
 from physid.identification.screening import possible_candidates
@@ -202,9 +203,20 @@ def windows_of(study: Study, horizon: str, spans: Spans) -> Problem:
 
 
 def base_of(study: Study) -> Base:
-    """Fit the base model on the choosing data at every horizon it can be simulated over."""
+    """Fit the base model on the choosing data at every horizon it can be simulated over.
+
+    Raises
+    ------
+    DivergedError
+        If it diverges over short windows too.
+    """
     problems = {h: windows_of(study, h, choosing_spans) for h in HORIZONS}
-    long = fit_windows(problems["long"], study.theta)
+    try:
+        long = fit_windows(problems["long"], study.theta)
+    except NumericsError:
+        # What runs away over long windows may be followed over shorter ones, and from a better start.
+        theta = fit_windows(problems["short"], study.theta).theta
+        problems["long"], long = _followed(study, problems["long"], theta)
     fits = {"short": fit_windows(problems["short"], long.theta), "long": long}
     if compiled(problems["long"]):
         again = fit_windows(problems["long"], fits["short"].theta)
@@ -215,8 +227,22 @@ def base_of(study: Study) -> Base:
             fits["block"] = block
     except NumericsError:
         pass
-    points = {h: reduce(problems[h], f.theta, f.states, f.residuals) for h, f in fits.items()}
+    points = {}
+    for h, f in fits.items():
+        with suppress(NumericsError):
+            points[h] = reduce(problems[h], f.theta, f.states, f.residuals)
+    if "block" not in points:
+        fits.pop("block", None)
     return Base(problems=problems, fits=fits, points=points)
+
+
+def _followed(study: Study, long: Problem, theta: np.ndarray) -> tuple[Problem, Estimate]:
+    """Return the longest windows over which the base model does not diverge, half as long each, and its fit."""
+    for periods in (0.5 * HORIZONS["long"], HORIZONS["short"]):
+        with suppress(NumericsError):
+            return long, fit_windows(long, theta)
+        long = thinned(windowed(study.problem, periods, choosing_spans), ENOUGH)
+    return long, fit_windows(long, theta)
 
 
 def _with_siblings(base: Base, fits: list[Refit], scales: dict[Place, Scales]) -> list[Refit]:

@@ -32,6 +32,7 @@ CLOSE = 0.02
 SERVES = 0.7
 """Least share of the predicted fall that a step must bring for its columns to serve again."""
 Guess = Callable[[np.ndarray, list[np.ndarray], list[np.ndarray]], Reduced | None]
+_Point = tuple[np.ndarray, list[np.ndarray], list[np.ndarray], float]
 SHARES = (1.0, 1.0, 0.4, 0.15, 0.05, 0.015, 0.004)
 """Shares of a step that are tried in turn; the damping grows while they are 1."""
 
@@ -80,28 +81,22 @@ def minimise(
         If the simulation diverges at the start, or next to it.  Next to a point reached later, as in a corner
         of the bounds, it ends the fit at the point before.
     """
-    theta = problem.start() if theta is None else theta.copy()
-    states = problem.states() if states is None else [x.copy() for x in states]
-    states = problem.completed(theta, states)
-    residuals = residuals_of(problem, [theta], [states])[0]
-    chi2 = _chi2(problem, theta, residuals)
-    if not np.isfinite(chi2):
-        raise DivergedError(divergence_sentence(problem, residuals))
+    theta, states, residuals, chi2 = _begun(problem, theta, states)
     damping, done, gained = 1e-6, False, 0.0
     iteration = 0
     if guess is not None:
         point = guess(theta, states, residuals)
     rough = guess is not None and point is not None
     fresh, last, at = not rough, None, theta
-    before_step: tuple[np.ndarray, list[np.ndarray], list[np.ndarray], float] | None = None
+    behind: _Point | None = None
     while (iteration < iterations or not fresh) and not done:
         if point is None:
             try:
                 point = reduce(problem, theta, states, residuals)
             except DivergedError:
-                if before_step is None:
+                if behind is None:
                     raise
-                theta, states, residuals, chi2 = before_step
+                theta, states, residuals, chi2 = behind
                 break
         if fresh:
             rough, last, at = False, point, theta
@@ -131,7 +126,7 @@ def minimise(
             point = (
                 point.updated(step.shifts, change, residuals, step.residuals) if serves else None
             )
-        before_step = theta, states, residuals, chi2
+        behind = theta, states, residuals, chi2
         theta, states, residuals, chi2 = step.theta, step.states, step.residuals, step.chi2
         damping = max(damping * (0.1 if fall > 0.5 * step.predicted else 1.0), 1e-9)
     return Estimate(
@@ -143,6 +138,18 @@ def minimise(
         converged=done,
         point=last if keep and done and _close(problem, theta, at) else None,
     )
+
+
+def _begun(problem: Problem, theta: np.ndarray | None, states: list[np.ndarray] | None) -> _Point:
+    """Return where a fit starts, with its residuals and their squares."""
+    theta = problem.start() if theta is None else theta.copy()
+    states = problem.states() if states is None else [x.copy() for x in states]
+    states = problem.completed(theta, states)
+    residuals = residuals_of(problem, [theta], [states])[0]
+    chi2 = _chi2(problem, theta, residuals)
+    if not np.isfinite(chi2):
+        raise DivergedError(divergence_sentence(problem, residuals))
+    return theta, states, residuals, chi2
 
 
 class _Step(NamedTuple):
