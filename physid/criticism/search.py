@@ -326,8 +326,12 @@ def _wanting_partners(base: Base, fits: Sequence[Refit]) -> list[Refit]:
         return []
     best = fits[0]
     simpler = [f for f in fits[1:] if _may_imitate(best, f)]
-    if explained(base, best) >= WELL_NAMED or noise_like(base, best):
-        return [] if noise_like(base, best) else simpler[:1]
+    if noise_like(base, best):
+        # A pair that does no worse than what remembers must be told, if one of it does nearly all.
+        own = best.added[0].effect.memory
+        return [f for f in simpler if own and explained(base, f) >= WELL_NAMED][:1]
+    if explained(base, best) >= WELL_NAMED:
+        return simpler[:1]
     return _different(fits)[:PARTNERS]
 
 

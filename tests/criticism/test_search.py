@@ -163,6 +163,24 @@ def test_what_remembers_or_contains_more_may_imitate_a_pair():
     assert not search._may_imitate(refit_of("stribeck_friction"), elsewhere)
 
 
+def test_beside_what_remembers_a_pair_is_tried_where_one_of_it_does_nearly_all(monkeypatch):
+    mode, damper = (
+        refit_of("unmodelled_mode", Place("body", "pendulum")),
+        refit_of("viscous_damping"),
+    )
+    friction, stribeck = refit_of("coulomb_friction"), refit_of("stribeck_friction")
+    shares = {}
+    monkeypatch.setattr(search, "noise_like", lambda base, fit: True)
+    monkeypatch.setattr(search, "explained", lambda base, fit: shares.get(id(fit), 1.0))
+    assert search._wanting_partners(None, [mode, damper]) == [damper]
+    assert search._wanting_partners(None, [stribeck, friction]) == []
+    shares[id(damper)] = 0.9
+    assert search._wanting_partners(None, [mode, damper]) == []
+    monkeypatch.setattr(search, "noise_like", lambda base, fit: False)
+    assert search._wanting_partners(None, [mode, damper]) == [damper]
+    assert search._wanting_partners(None, [stribeck, friction]) == [friction]
+
+
 def test_states_start_from_what_is_measured_where_the_base_is_far_from_the_record(rubbing):
     base = rubbing.base
     near = replace(
