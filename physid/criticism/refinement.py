@@ -31,11 +31,13 @@ from physid.criticism.diagnosis import (
     NAMED_BESIDE,
     Diagnosis,
     candidate_rows,
+    describe,
     diagnose_study,
     with_effects,
 )
 from physid.criticism.leads import read_leads, silence_notes
 from physid.criticism.localisation import where
+from physid.criticism.merit import NOISE_LIKE
 from physid.criticism.pictures import diagnosis_curves, tested_curves
 from physid.criticism.refit import start_of, with_candidate
 from physid.effects.catalogue import load_model_text
@@ -132,6 +134,8 @@ def refine(
             study = replace(
                 study, problem=problem, theta=steps[-1].fitted.estimate.theta, states=None
             )
+        if not kept and found is first and _could_be_earned(steps[-1]):
+            first = _without_a_place(first)
         if kept < len(added) or not added:
             remaining = "nothing_missing" if _is_noise(steps[-1].fitted) else "unexplained"
             break
@@ -152,6 +156,22 @@ def _is_noise(fitted: Fitted) -> bool:
     """Say whether the residuals of all channels are white and free of the input."""
     rows = channel_rows(fitted.problem, fitted.estimate)
     return all(c["residual_white"] and not c["input_correlated"] for row in rows for c in row)
+
+
+def _could_be_earned(before: Step) -> bool:
+    """Say whether an effect that leaves no more than noise on whole records would earn its place."""
+    fitted = before.fitted
+    return EARNED * fitted.estimate.squares > NOISE_LIKE * fitted.problem.measurements()
+
+
+def _without_a_place(found: Diagnosis) -> Diagnosis:
+    """Return a diagnosis whose best candidate explains windows, and nothing of whole records."""
+    return replace(
+        found,
+        verdict="unexplained",
+        sentence="Something is missing that no effect of the catalogue explains: the best candidate, "
+        f"{describe(found.candidates[0].refit)}, does not lower the error over whole records.",
+    )
 
 
 def _earning_their_place(before: Step, added: Sequence[Step]) -> int:

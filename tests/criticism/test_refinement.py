@@ -117,9 +117,11 @@ def test_an_effect_with_which_records_cannot_be_fitted_is_left_out(slider, recor
 
     monkeypatch.setattr(refinement, "fit_study", fitted)
     told = physid.refine(slider, records[:1], fit=["rail.damping"]).as_dict()
-    assert told["verdict"] == "effect_missing"
+    assert told["verdict"] == "unexplained"
+    assert "does not lower the error over whole records" in told["sentence"]
     assert told["remaining"] == "unexplained"
     assert len(told["steps"]) == 1
+    assert told["candidates"]
 
 
 def test_a_second_look_that_diverges_ends_no_study(slider, records, monkeypatch):
