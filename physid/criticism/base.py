@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
+import numpy as np
+
 from physid.identification.estimate import Estimate
 from physid.identification.linearisation import Reduced, extended
 from physid.identification.output_error import Guess
@@ -20,6 +22,8 @@ NOISE_ALONE = 1.03
 """A residual within this factor leaves nothing for another start, nor for an effect that contains the one
 that left it; for the latter not asked for where MuJoCo simulates, whose friction leaves more than noise at
 any step."""
+DISTORTED = 100.0
+"""Mean squares over the noise's from which the base's initial states are bent as much as the rest of it."""
 PART = 3
 """One window in so many tells starts apart."""
 
@@ -40,7 +44,8 @@ def judging_spans(samples: int) -> list[Span]:
 class Base:
     """The base model on the choosing data: problem, fit and linearisation at each horizon.
 
-    ``few`` is the same on a part of the windows, where there are enough of them.
+    A horizon without a linearisation is one next to which the simulation diverges.  ``few`` is the same
+    on a part of the windows, where there are enough of them.
     """
 
     problems: dict[str, Problem]
@@ -50,8 +55,19 @@ class Base:
 
     def guess(self, problem: Problem, horizon: str) -> Guess:
         """Return how to linearise a candidate roughly: what it shares with the base is known."""
+        if horizon not in self.points:
+            return lambda theta, states, residuals: None
         names = [p.name for p in self.problems[horizon].parameters]
         return partial(extended, self.points[horizon], names, problem)
+
+    def states(self, horizon: str) -> list[np.ndarray] | None:
+        """Return where a candidate's initial states start: the base's, or None for what is measured.
+
+        A model far from the record bends the states of its windows with everything else: from there the right
+        candidate ends in a minimum of its own.
+        """
+        fit, size = self.fits[horizon], self.problems[horizon].measurements()
+        return fit.states if fit.squares < DISTORTED * size else None
 
     def leaves_noise(self, fits: Mapping[str, Estimate]) -> bool:
         """Say whether a candidate's fits on windows leave noise alone."""
@@ -72,6 +88,7 @@ class Base:
             points={
                 h: replace(self.points[h], rows=[r[::PART] for r in self.points[h].rows])
                 for h in horizons
+                if h in self.points
             },
         )
         return replace(self, few=few)

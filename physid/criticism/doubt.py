@@ -37,13 +37,19 @@ def rivals_in(found: Diagnosis) -> tuple[list[Rival], float]:
         near = alike or [c for c in found.candidates[1:] if _comes_near(best, c)]
         if near:
             margin = TOLD_APART if alike else WEAK * TOLD_APART
-            return _rivals(found, [best, *near]), margin
+            return _comparable(_rivals(found, [best, *near])), margin
         if -best.score >= WEAK * LEAST_GAIN and best.p_value <= CHANCE / DOUBTED:
             return [], TOLD_APART
     elif not _nearly_named([best, *alike]):
         return [], TOLD_APART
     rivals = _rivals(found, [best, *alike])[: MOST_RIVALS - 1]
-    return [*rivals, as_it_stands(found.base)], WEAK * LEAST_GAIN
+    return _comparable([*rivals, as_it_stands(found.base)]), WEAK * LEAST_GAIN
+
+
+def _comparable(rivals: Sequence[Rival]) -> list[Rival]:
+    """Leave out rivals next to which the simulation diverges; none are left where only one remains."""
+    kept = [r for r in rivals if "long" in r.known]
+    return kept if len(kept) > 1 else []
 
 
 def _rivals(found: Diagnosis, candidates: Sequence[Candidate]) -> list[Rival]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -30,14 +31,17 @@ from physid.criticism.diagnosis import (
     NAMED_BESIDE,
     Diagnosis,
     candidate_rows,
+    describe,
     diagnose_study,
     with_effects,
 )
 from physid.criticism.leads import read_leads, silence_notes
 from physid.criticism.localisation import where
+from physid.criticism.merit import NOISE_LIKE
 from physid.criticism.pictures import diagnosis_curves, tested_curves
 from physid.criticism.refit import start_of, with_candidate
 from physid.effects.catalogue import load_model_text
+from physid.errors import DivergedError, NumericsError
 from physid.identification.accuracy import for_engine, with_substeps
 from physid.identification.estimate import Estimate
 from physid.identification.fitting import FAR_WORSE, Fitted, fit_study
@@ -109,7 +113,15 @@ def refine(
         width = 0.6 / MOST_ROUNDS
         begin = 0.3 + round_number * width
         named = NAMED if first is None else NAMED_BESIDE
-        found = diagnose_study(study, span=(begin, begin + width), named=named, leads=leads)
+        try:
+            found = diagnose_study(study, span=(begin, begin + width), named=named, leads=leads)
+        except NumericsError:
+            if first is None:
+                raise
+            remaining = (
+                "unexplained"  # a refined model that cannot be looked at again is none to trust
+            )
+            break
         first = first or found
         remaining = found.verdict
         if found.verdict != "effect_missing":
@@ -122,7 +134,9 @@ def refine(
             study = replace(
                 study, problem=problem, theta=steps[-1].fitted.estimate.theta, states=None
             )
-        if kept < len(added):
+        if not kept and found is first and _could_be_earned(steps[-1]):
+            first = _without_a_place(first)
+        if kept < len(added) or not added:
             remaining = "nothing_missing" if _is_noise(steps[-1].fitted) else "unexplained"
             break
     assert first is not None
@@ -144,6 +158,22 @@ def _is_noise(fitted: Fitted) -> bool:
     return all(c["residual_white"] and not c["input_correlated"] for row in rows for c in row)
 
 
+def _could_be_earned(before: Step) -> bool:
+    """Say whether an effect that leaves no more than noise on whole records would earn its place."""
+    fitted = before.fitted
+    return EARNED * fitted.estimate.squares > NOISE_LIKE * fitted.problem.measurements()
+
+
+def _without_a_place(found: Diagnosis) -> Diagnosis:
+    """Return a diagnosis whose best candidate explains windows, and nothing of whole records."""
+    return replace(
+        found,
+        verdict="unexplained",
+        sentence="Something is missing that no effect of the catalogue explains: the best candidate, "
+        f"{describe(found.candidates[0].refit)}, does not lower the error over whole records.",
+    )
+
+
 def _earning_their_place(before: Step, added: Sequence[Step]) -> int:
     """Return how many of the steps to keep: the most that lower the squares on whole records clearly.
 
@@ -159,9 +189,13 @@ def _earning_their_place(before: Step, added: Sequence[Step]) -> int:
 
 
 def _added_one_by_one(study: Study, tests: Sequence[object], found: Diagnosis) -> list[Step]:
-    """Add a candidate's effects in their order, refitting after each, so that each one's part shows."""
+    """Add a candidate's effects in their order, refitting after each, so that each one's part shows.
+
+    One with which whole records cannot be fitted is shown with the next; the last such one is left out.
+    """
     best = found.candidates[0]
-    steps = []
+    steps: list[Step] = []
+    waiting: tuple[Placed, ...] = ()
     placed = best.refit.fitted
     singles = {c.refit.sites(): c.p_value for c in found.candidates if len(c.refit.added) == 1}
     for k in range(1, len(placed)):
@@ -169,28 +203,38 @@ def _added_one_by_one(study: Study, tests: Sequence[object], found: Diagnosis) -
         known = start_of(study.problem, study.theta, problem)
         part = replace(study, problem=problem, theta=known, states=None)
         p_value = singles.get(best.refit.sites()[:k], best.p_value)
-        steps.append(_step(part, tests, placed[k - 1 : k], p_value))
-    steps.append(_step(with_effects(study, best), tests, placed[-1:], best.p_value))
-    return steps
+        waiting = (*waiting, placed[k - 1])
+        with suppress(NumericsError):
+            steps.append(_step(part, tests, waiting, p_value))
+            waiting = ()
+    with suppress(NumericsError):
+        whole_step = _step(with_effects(study, best), tests, (*waiting, placed[-1]), best.p_value)
+        return [*steps, whole_step]
+    return []
 
 
 def _step(
     study: Study, tests: Sequence[Any], added: tuple[Placed, ...], p_value: float | None
 ) -> Step:
     fitted = fit_study(study)
-    return Step(
-        added=added, fitted=fitted, tested=_tested(fitted.model, fitted, tests), p_value=p_value
-    )
+    tested = _tested(fitted.model, fitted.problem, tests)
+    return Step(added=added, fitted=fitted, tested=tested, p_value=p_value)
 
 
-def _tested(model: Model, fitted: Fitted, tests: Sequence[Any]) -> tuple[Problem, Estimate] | None:
-    """Simulate test records with every parameter frozen; only initial states are estimated."""
+def _tested(model: Model, fitted: Problem, tests: Sequence[Any]) -> tuple[Problem, Estimate] | None:
+    """Simulate test records with every parameter frozen; only initial states are estimated.
+
+    They decide nothing: a model that diverges on them is shown without them.
+    """
     if not tests:
         return None
-    simulator = fitted.problem.windows[0].simulator
+    simulator = fitted.windows[0].simulator
     windows = tuple(whole(e, replace(simulator, dt=e.dt)) for e in tests)
-    problem = Problem(model=model, parameters=(), windows=windows, sigma=fitted.problem.sigma)
-    return problem, states_only(problem)
+    problem = Problem(model=model, parameters=(), windows=windows, sigma=fitted.sigma)
+    try:
+        return problem, states_only(problem)
+    except DivergedError:
+        return None
 
 
 def _refinement(
@@ -255,7 +299,12 @@ def _from_file(
     problem = problem.with_windows(
         [replace(w, simulator=replace(w.simulator, structure=structure)) for w in problem.windows]
     )
-    estimate = minimise(problem, np.zeros(0), fitted.estimate.states, iterations=20, tolerance=1e-6)
+    try:
+        estimate = minimise(
+            problem, np.zeros(0), fitted.estimate.states, iterations=20, tolerance=1e-6
+        )
+    except DivergedError:
+        return step, ["The written file's simulation diverges; the figures are the fit's."]
     change = abs(np.sqrt(estimate.squares / max(fitted.estimate.squares, 1e-300)) - 1.0)
     notes = []
     if change > 0.01:
@@ -266,11 +315,9 @@ def _from_file(
         fitted,
         estimate=replace(fitted.estimate, states=estimate.states, residuals=estimate.residuals),
     )
-    tested = None
-    if tests:
-        windows = tuple(whole(e, replace(problem.windows[0].simulator, dt=e.dt)) for e in tests)
-        trial = Problem(model=model, parameters=(), windows=windows, sigma=problem.sigma)
-        tested = (trial, states_only(trial))
+    tested = _tested(model, problem, tests)
+    if tests and tested is None:
+        notes.append("The refined model diverges along the test records; their error is not shown.")
     return replace(step, fitted=kept, tested=tested), notes
 
 

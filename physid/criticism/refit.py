@@ -20,6 +20,8 @@ from physid.plant.model import Model
 from physid.plant.parameter import Parameter
 from physid.plant.structure import Place
 
+WELL_UNDER_WAY = 0.1
+"""Share of the base's squares below which a fit that has not ended yet goes on."""
 ROOM = 0.98
 """Largest share of the squares that a candidate may leave to have moved the model's own parameters: where
 these are as they were, no shape is seen that was not seen before."""
@@ -273,7 +275,7 @@ def _first_cost(base: Base, inner: Problem, start: Start, scales: Scales, horizo
         return minimise(
             trial,
             theta,
-            base.fits[horizon].states,
+            base.states(horizon),
             iterations=2 if horizon == "short" else 0,
             guess=base.guess(trial, horizon),
         ).chi2
@@ -335,15 +337,18 @@ def _fit_horizons(
 def _fitted(
     base: Base, problem: Problem, theta: np.ndarray, horizon: str, goal: float = np.inf
 ) -> Estimate:
-    return minimise(
+    found = minimise(
         problem,
         theta,
-        base.fits[horizon].states,
+        base.states(horizon),
         iterations=8,
         tolerance=2e-3,
         guess=base.guess(problem, horizon),
         goal=goal,
     )
+    if found.converged or found.chi2 > WELL_UNDER_WAY * base.fits[horizon].chi2:
+        return found
+    return minimise(problem, found.theta, found.states, iterations=12, tolerance=2e-3, goal=goal)
 
 
 def with_block(base: Base, fit: Refit, goal: float = np.inf) -> Refit:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +25,7 @@ from physid.criticism.refit import Refit, Start, refit, start_of, with_block, wi
 from physid.criticism.timing import between_stretches
 from physid.effects.catalogue import effects_of
 from physid.errors import NumericsError
+from physid.identification.estimate import Estimate
 from physid.identification.linearisation import reduce
 from physid.identification.problem import Problem
 from physid.identification.screening import possible_candidates
@@ -207,9 +209,20 @@ def windows_of(study: Study, horizon: str, spans: Spans) -> Problem:
 
 
 def base_of(study: Study) -> Base:
-    """Fit the base model on the choosing data at every horizon it can be simulated over."""
+    """Fit the base model on the choosing data at every horizon it can be simulated over.
+
+    Raises
+    ------
+    DivergedError
+        If it diverges over short windows too.
+    """
     problems = {h: windows_of(study, h, choosing_spans) for h in HORIZONS}
-    long = fit_windows(problems["long"], study.theta)
+    try:
+        long = fit_windows(problems["long"], study.theta)
+    except NumericsError:
+        # What runs away over long windows may be followed over shorter ones, and from a better start.
+        theta = fit_windows(problems["short"], study.theta).theta
+        problems["long"], long = _followed(study, problems["long"], theta)
     fits = {"short": fit_windows(problems["short"], long.theta), "long": long}
     if compiled(problems["long"]):
         again = fit_windows(problems["long"], fits["short"].theta)
@@ -220,8 +233,22 @@ def base_of(study: Study) -> Base:
             fits["block"] = block
     except NumericsError:
         pass
-    points = {h: reduce(problems[h], f.theta, f.states, f.residuals) for h, f in fits.items()}
+    points = {}
+    for h, f in fits.items():
+        with suppress(NumericsError):
+            points[h] = reduce(problems[h], f.theta, f.states, f.residuals)
+    if "block" not in points:
+        fits.pop("block", None)
     return Base(problems=problems, fits=fits, points=points).with_few()
+
+
+def _followed(study: Study, long: Problem, theta: np.ndarray) -> tuple[Problem, Estimate]:
+    """Return the longest windows over which the base model does not diverge, half as long each, and its fit."""
+    for periods in (0.5 * HORIZONS["long"], HORIZONS["short"]):
+        with suppress(NumericsError):
+            return long, fit_windows(long, theta)
+        long = thinned(windowed(study.problem, periods, choosing_spans), ENOUGH)
+    return long, fit_windows(long, theta)
 
 
 def _with_siblings(base: Base, fits: list[Refit], scales: dict[Place, Scales]) -> list[Refit]:
@@ -301,20 +328,27 @@ def _wanting_partners(base: Base, fits: Sequence[Refit]) -> list[Refit]:
     """Return the singles beside which a second effect is looked for; none where one explains all.
 
     An effect that contains a simpler one at its place may win only because its extra coefficients
-    imitate a second effect, so the simpler one gets its chance with a partner.
+    imitate a second effect, or one with a memory because that starts anew in every window; then the
+    simpler one gets its chance with a partner.
     """
     if not fits:
         return []
     best = fits[0]
-    simpler = [
-        f
-        for f in fits[1:]
-        if f.added[0].place == best.added[0].place
-        and f.added[0].effect.name in best.added[0].effect.supersedes
-    ]
-    if explained(base, best) >= WELL_NAMED or noise_like(base, best):
-        return [] if noise_like(base, best) else simpler[:1]
+    simpler = [f for f in fits[1:] if _may_imitate(best, f)]
+    if noise_like(base, best):
+        # A pair that does no worse than what remembers must be told, if one of it does nearly all.
+        own = best.added[0].effect.memory
+        return [f for f in simpler if own and explained(base, f) >= WELL_NAMED][:1]
+    if explained(base, best) >= WELL_NAMED:
+        return simpler[:1]
     return _different(fits)[:PARTNERS]
+
+
+def _may_imitate(best: Refit, other: Refit) -> bool:
+    """Say whether the best may be no more than another with a partner: it has it in it, or it remembers."""
+    own, simpler = best.added[0], other.added[0]
+    contained = own.place == simpler.place and simpler.effect.name in own.effect.supersedes
+    return contained or bool(own.effect.memory and not simpler.effect.memory)
 
 
 def _pairs(

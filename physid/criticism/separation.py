@@ -21,6 +21,7 @@ stopped by a bound on its way leaves more.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,13 +63,14 @@ class Rival:
 
 
 def rival_of(base: Base, fit: Refit, score: float) -> Rival:
-    """Return a refitted candidate as a rival."""
+    """Return a refitted candidate as a rival, known at the horizons next to which it does not diverge."""
     known = {}
     for horizon, estimate in fit.fits.items():
         problem = fit.problem.with_windows(base.problems[horizon].windows)
-        known[horizon] = estimate.point or reduce(
-            problem, estimate.theta, estimate.states, estimate.residuals
-        )
+        with suppress(DivergedError):
+            known[horizon] = estimate.point or reduce(
+                problem, estimate.theta, estimate.states, estimate.residuals
+            )
     return Rival(
         sites=fit.sites(),
         problem=fit.problem.with_windows(base.problems["long"].windows),

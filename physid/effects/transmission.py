@@ -108,6 +108,10 @@ class Cogging(Effect):
         96,
         120,
     )
+    further: ClassVar[float] = 1.2
+    """Ratio of one number of periods to the next beyond those, on a joint that hardly turns."""
+    ripples: ClassVar[float] = 6.0
+    """Periods within the travel that are looked for at most there."""
 
     def plausible(self, values: Mapping[str, float], scales: Scales) -> bool:
         return in_proportion(values["amplitude"], scales)
@@ -118,7 +122,24 @@ class Cogging(Effect):
         )
 
     def trials(self, scales: Scales) -> Sequence[Trial]:
-        return tuple(ripple_trial(SMALL * scales.force, n) for n in self.tried)
+        return tuple(ripple_trial(SMALL * scales.force, n) for n in self._tried(scales))
+
+    def closer(self, trial: Trial, scales: Scales, level: int) -> Sequence[Trial]:
+        # Periods are not fitted, so the grid must close down to the next whole number.
+        periods, grid = int(trial.columns[0]["periods"]), self._tried(scales)
+        index = min(int(np.searchsorted(grid, periods)), len(grid) - 1)
+        gap = max(np.diff(grid[max(index - 1, 0) : index + 2]))
+        coarse, fine = (int(np.ceil(gap / 4**k)) for k in (level - 1, level))
+        steps = [k for k in range(fine, coarse, fine) if k < coarse]
+        numbers = [periods + sign * k for k in steps for sign in (-1, 1)]
+        return tuple(ripple_trial(SMALL * scales.force, n) for n in numbers if n > 1)
+
+    def _tried(self, scales: Scales) -> tuple[int, ...]:
+        found = list(self.tried)
+        most = self.ripples * 2.0 * np.pi / max(scales.travel, 1e-3)
+        while self.further * found[-1] <= most:
+            found.append(round(self.further * found[-1]))
+        return tuple(found)
 
     def start(self, trial: Trial, amplitudes: np.ndarray, scales: Scales) -> dict[str, float]:
         size, phase = polar(trial.columns[0]["amplitude"] * amplitudes)

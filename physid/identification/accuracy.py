@@ -32,7 +32,8 @@ def refine_steps(
     """Choose the number of RK4 steps per sample so that integration error does not matter.
 
     Halves the step until halving it once more changes the simulated outputs by less than ``share`` of
-    the noise (or a hundredth of the misfit), or there are ``most`` steps a sample.
+    the noise (or a hundredth of the misfit), or there are ``most`` steps a sample.  A run that diverges is
+    not accurate, however far from the record that is.
 
     Returns
     -------
@@ -45,7 +46,8 @@ def refine_steps(
         fine = _simulate(problem, theta, states, 2 * substeps)
         error = _rms([a - b for a, b in zip(coarse, fine, strict=True)])
         misfit = _rms(fine)
-        if error <= max(share, share / SHARE * SHARE_OF_MISFIT * misfit) or 2 * substeps > most:
+        limit = max(share, share / SHARE * SHARE_OF_MISFIT * misfit)
+        if (np.isfinite(error) and error <= limit) or 2 * substeps > most:
             return with_substeps(problem, substeps), float(error)
         substeps, coarse = 2 * substeps, fine
 

@@ -96,12 +96,23 @@ def estimated(study: Study, *, from_windows: bool = True) -> tuple[Problem, Esti
 def _from_windows(study: Study) -> Estimate:
     """Fit long windows, then whole records; through growing ones where these are fitted far worse.
 
-    Whole records that are fitted to hardly more than noise from the start need no windows.
+    Whole records that are fitted to hardly more than noise from the start need no windows; where windows
+    diverge, the start's fit is the only one.
     """
+    first = None
     with suppress(NumericsError):
         first = fit_whole(on_whole_records(study.problem), study.theta, study.states)
         if first.squares < settled_squares(study.problem):
             return first
+    try:
+        return _through_windows(study)
+    except NumericsError:
+        if first is None:
+            raise
+        return first
+
+
+def _through_windows(study: Study) -> Estimate:
     windows = windowed(study.problem, LONG)
     near = fit_windows(windows, study.theta)
     problem = on_whole_records(study.problem)

@@ -34,6 +34,7 @@ SERVES = 0.7
 Guess = Callable[[np.ndarray, list[np.ndarray], list[np.ndarray]], Reduced | None]
 SETTLING = 3
 """Linearisations before a fit's pace tells anything: the first steps are cut short or damped."""
+_Point = tuple[np.ndarray, list[np.ndarray], list[np.ndarray], float]
 SHARES = (1.0, 1.0, 0.4, 0.15, 0.05, 0.015, 0.004)
 """Shares of a step that are tried in turn; the damping grows while they are 1."""
 
@@ -83,15 +84,10 @@ def minimise(
     Raises
     ------
     DivergedError
-        If the simulation diverges at the start.
+        If the simulation diverges at the start, or next to it.  Next to a point reached later, as in a corner
+        of the bounds, it ends the fit at the point before.
     """
-    theta = problem.start() if theta is None else theta.copy()
-    states = problem.states() if states is None else [x.copy() for x in states]
-    states = problem.completed(theta, states)
-    residuals = residuals_of(problem, [theta], [states])[0]
-    chi2 = _chi2(problem, theta, residuals)
-    if not np.isfinite(chi2):
-        raise DivergedError(divergence_sentence(problem, residuals))
+    theta, states, residuals, chi2 = _begun(problem, theta, states)
     damping, done, gained = 1e-6, False, 0.0
     iteration = 0
     passed: list[float] = []
@@ -99,11 +95,19 @@ def minimise(
         point = guess(theta, states, residuals)
     rough = guess is not None and point is not None
     fresh, last, at = not rough, None, theta
-    while (iteration < iterations or not fresh) and not done:
-        if fresh and _falls_short(passed, chi2, iterations - iteration, goal):
-            break
+    behind: _Point | None = None
+    while not done and not (
+        fresh
+        and (iteration >= iterations or _falls_short(passed, chi2, iterations - iteration, goal))
+    ):
         if point is None:
-            point = reduce(problem, theta, states, residuals)
+            try:
+                point = reduce(problem, theta, states, residuals)
+            except DivergedError:
+                if behind is None:
+                    raise
+                theta, states, residuals, chi2 = behind
+                break
         if fresh:
             rough, last, at = False, point, theta
             passed.append(chi2)
@@ -133,6 +137,7 @@ def minimise(
             point = (
                 point.updated(step.shifts, change, residuals, step.residuals) if serves else None
             )
+        behind = theta, states, residuals, chi2
         theta, states, residuals, chi2 = step.theta, step.states, step.residuals, step.chi2
         damping = max(damping * (0.1 if fall > 0.5 * step.predicted else 1.0), 1e-9)
     return Estimate(
@@ -151,6 +156,18 @@ def _falls_short(passed: Sequence[float], chi2: float, left: int, goal: float) -
     if len(passed) < SETTLING or not np.isfinite(goal):
         return False
     return bool(chi2 - left * (passed[-1] - chi2) > goal)
+
+
+def _begun(problem: Problem, theta: np.ndarray | None, states: list[np.ndarray] | None) -> _Point:
+    """Return where a fit starts, with its residuals and their squares."""
+    theta = problem.start() if theta is None else theta.copy()
+    states = problem.states() if states is None else [x.copy() for x in states]
+    states = problem.completed(theta, states)
+    residuals = residuals_of(problem, [theta], [states])[0]
+    chi2 = _chi2(problem, theta, residuals)
+    if not np.isfinite(chi2):
+        raise DivergedError(divergence_sentence(problem, residuals))
+    return theta, states, residuals, chi2
 
 
 class _Step(NamedTuple):

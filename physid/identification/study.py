@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
 from physid.effects.catalogue import add_effects, load_model
-from physid.errors import InputError, RecordError
+from physid.errors import DivergedError, InputError, RecordError
 from physid.identification.accuracy import refine_steps, with_substeps
 from physid.identification.experiment import (
     Experiment,
@@ -281,7 +282,11 @@ def free_parameters(
         wanted = candidates(model)
         if not wanted:
             return named(model, added, options.bounds, options.priors), ["Nothing can be freed."]
-        chosen = identifiable(windowed(problem, LONG), wanted)
+        try:
+            chosen = identifiable(windowed(problem, LONG), wanted)
+        except DivergedError:
+            # The values in the MJCF may be so far off that only short windows can be followed.
+            chosen = identifiable(windowed(problem, SHORT), wanted)
         names = [p.name for p in chosen.parameters]
         notes = list(chosen.notes)
     else:
@@ -322,20 +327,24 @@ def choose_hold(problem: Problem, theta: np.ndarray) -> tuple[Problem, np.ndarra
     if not problem.model.structure.inputs or held > 0.5 * total:
         return problem, theta, ""
     noise = thinned(windowed(problem, LONG), ENOUGH)
-    if CLEARLY * states_only(replace(noise, model=problem.at(theta))).chi2 < noise.measurements():
-        # Noise alone would leave more than is asked of another kind of hold.
-        return problem, theta, ""
+    with suppress(DivergedError):
+        held_only = states_only(replace(noise, model=problem.at(theta)))
+        if CLEARLY * held_only.chi2 < noise.measurements():
+            # Noise alone would leave more than is asked of another kind of hold.
+            return problem, theta, ""
     tried = {}
     for hold in ("zero", "first", "smooth"):
         other = with_hold(problem, hold)
-        short = minimise(
-            thinned(windowed(other, SHORT), ENOUGH), theta, iterations=8, tolerance=1e-3
-        )
-        long = minimise(
-            thinned(windowed(other, LONG), ENOUGH), short.theta, iterations=10, tolerance=1e-3
-        )
-        tried[hold] = (long.chi2, long.theta)
-    best = min(tried, key=lambda h: tried[h][0])
+        with suppress(DivergedError):
+            short = minimise(
+                thinned(windowed(other, SHORT), ENOUGH), theta, iterations=8, tolerance=1e-3
+            )
+            long = minimise(
+                thinned(windowed(other, LONG), ENOUGH), short.theta, iterations=10, tolerance=1e-3
+            )
+            tried[hold] = (long.chi2, long.theta)
+    # Where the record cannot be followed with a held input, no other is known to be better.
+    best = min(tried, key=lambda h: tried[h][0]) if "zero" in tried else "zero"
     if best == "zero" or tried[best][0] > CLEARLY * tried["zero"][0]:
         return problem, theta, ""
     words = {"first": "straight lines", "smooth": "a smooth curve"}[best]

@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 
+from physid.errors import DivergedError
 from physid.identification.columns import columns_of
 from physid.identification.estimate import Estimate
 from physid.identification.linearisation import Reduced, normal_equations, reduced
@@ -36,10 +37,17 @@ class Uncertainty:
 
 
 def uncertainty_of(problem: Problem, estimate: Estimate) -> Uncertainty:
-    """Return the covariance of the free parameters at an estimate."""
+    """Return the covariance of the free parameters at an estimate; NaN next to a divergence."""
     p = len(estimate.theta)
     if not p:
         return Uncertainty(np.zeros((0, 0)), np.zeros(0))
+    try:
+        return _uncertainty_of(problem, estimate)
+    except DivergedError:
+        return Uncertainty(np.full((p, p), np.nan), np.full(p, np.nan))
+
+
+def _uncertainty_of(problem: Problem, estimate: Estimate) -> Uncertainty:
     for central in (False, True):
         blocks = _columns(problem, estimate, central=central)
         point = reduced(problem, blocks(), estimate.residuals)

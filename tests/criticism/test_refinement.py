@@ -105,3 +105,41 @@ def test_nothing_is_written_by_halves(slider, records, tmp_path, monkeypatch, er
     assert main([str(word) for word in words]) == code
     assert not out.exists()
     assert [p.name for p in tmp_path.iterdir()] == ["r.csv"]
+
+
+def test_an_effect_with_which_records_cannot_be_fitted_is_left_out(slider, records, monkeypatch):
+    fit = refinement.fit_study
+
+    def fitted(study):
+        if study.model.effects:
+            raise DivergedError("A hair's breadth away.")
+        return fit(study)
+
+    monkeypatch.setattr(refinement, "fit_study", fitted)
+    told = physid.refine(slider, records[:1], fit=["rail.damping"]).as_dict()
+    assert told["verdict"] == "unexplained"
+    assert "does not lower the error over whole records" in told["sentence"]
+    assert told["remaining"] == "unexplained"
+    assert len(told["steps"]) == 1
+    assert told["candidates"]
+
+
+def test_a_second_look_that_diverges_ends_no_study(slider, records, monkeypatch):
+    diagnose, looks = refinement.diagnose_study, []
+
+    def looked(study, **options):
+        looks.append(study)
+        if len(looks) > 1:
+            raise DivergedError("It runs away.")
+        return diagnose(study, **options)
+
+    def diverging(problem, states=None):
+        raise DivergedError("Along the test.")
+
+    monkeypatch.setattr(refinement, "diagnose_study", looked)
+    monkeypatch.setattr(refinement, "states_only", diverging)
+    found = physid.refine(slider, records[:1], test=records[1:], fit=["rail.damping"]).as_dict()
+    assert found["remaining"] == "unexplained"
+    assert len(found["steps"]) == 2
+    assert found["steps"][1]["test"] == {}
+    assert any("diverges along the test records" in n for n in found["notes"])

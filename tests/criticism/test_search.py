@@ -11,6 +11,7 @@ from physid.criticism import refit as refitting
 from physid.criticism.grounds import Group
 from physid.criticism.refit import Start, _seen_from, alike, refit, with_block, without_partner
 from physid.effects.catalogue import CATALOGUE
+from physid.errors import DivergedError
 from physid.identification.screening import scales_of, screen
 from physid.identification.study import Options, prepare
 from physid.plant.effect import Placed
@@ -145,3 +146,77 @@ def test_what_contains_an_explaining_effect_is_tried_where_more_than_noise_is_le
     assert "refitting what contains it" not in stages()
     monkeypatch.setattr(search, "NOISE_ALONE", 0.0)
     assert "refitting what contains it" in stages()
+
+
+def refit_of(effect, place=HINGE):
+    return SimpleNamespace(added=(Placed(EFFECTS[effect], place, {}),))
+
+
+def test_what_remembers_or_contains_more_may_imitate_a_pair():
+    # A hanging mass starts anew in every window, and so imitates an offset beside a damper.
+    body = Place("body", "pendulum")
+    assert search._may_imitate(refit_of("unmodelled_mode", body), refit_of("viscous_damping"))
+    assert search._may_imitate(refit_of("stribeck_friction"), refit_of("coulomb_friction"))
+    assert not search._may_imitate(refit_of("viscous_damping"), refit_of("unmodelled_mode", body))
+    assert not search._may_imitate(refit_of("unmodelled_mode", body), refit_of("sensor_lag"))
+    elsewhere = refit_of("coulomb_friction", Place("joint", "other"))
+    assert not search._may_imitate(refit_of("stribeck_friction"), elsewhere)
+
+
+def test_beside_what_remembers_a_pair_is_tried_where_one_of_it_does_nearly_all(monkeypatch):
+    mode, damper = (
+        refit_of("unmodelled_mode", Place("body", "pendulum")),
+        refit_of("viscous_damping"),
+    )
+    friction, stribeck = refit_of("coulomb_friction"), refit_of("stribeck_friction")
+    shares = {}
+    monkeypatch.setattr(search, "noise_like", lambda base, fit: True)
+    monkeypatch.setattr(search, "explained", lambda base, fit: shares.get(id(fit), 1.0))
+    assert search._wanting_partners(None, [mode, damper]) == [damper]
+    assert search._wanting_partners(None, [stribeck, friction]) == []
+    shares[id(damper)] = 0.9
+    assert search._wanting_partners(None, [mode, damper]) == []
+    monkeypatch.setattr(search, "noise_like", lambda base, fit: False)
+    assert search._wanting_partners(None, [mode, damper]) == [damper]
+    assert search._wanting_partners(None, [stribeck, friction]) == [friction]
+
+
+def test_states_start_from_what_is_measured_where_the_base_is_far_from_the_record(rubbing):
+    base = rubbing.base
+    near = replace(
+        base.fits["long"], residuals=[np.ones_like(r) for r in base.fits["long"].residuals]
+    )
+    far = replace(near, residuals=[1e3 * r for r in near.residuals])
+    assert replace(base, fits=base.fits | {"long": near}).states("long") is near.states
+    assert replace(base, fits=base.fits | {"long": far}).states("long") is None
+
+
+def test_a_horizon_next_to_which_runs_diverge_is_no_worse_than_one_that_diverges(
+    rubbing, monkeypatch
+):
+    def diverging(*arguments, **options):
+        raise DivergedError("A hair's breadth away.")
+
+    monkeypatch.setattr(search, "reduce", diverging)
+    base = search.base_of(rubbing.study)
+    assert set(base.fits) == {"short", "long"}
+    assert not base.points
+    long = base.problems["long"]
+    assert base.guess(long, "long")(*([None] * 3)) is None
+    assert refit(base, long, starts_of(rubbing.scored), rubbing.scales[HINGE], rank=0) is not None
+
+
+def test_windows_shorten_until_the_base_can_be_followed(rubbing, monkeypatch):
+    longest = rubbing.base.problems["long"].windows[0].samples
+    fit = search.fit_windows
+
+    def followed(problem, theta):
+        if problem.windows[0].samples > 0.6 * longest:
+            raise DivergedError("It runs away.")
+        return fit(problem, theta)
+
+    monkeypatch.setattr(search, "fit_windows", followed)
+    base = search.base_of(rubbing.study)
+    assert set(base.fits) == {"short", "long"}
+    samples = {h: base.problems[h].windows[0].samples for h in base.fits}
+    assert samples["short"] < samples["long"] <= 0.6 * longest

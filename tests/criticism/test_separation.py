@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physid.criticism import instead
+from physid.criticism import doubt, instead, separation
 from physid.criticism.base import choosing_spans
 from physid.criticism.limits import Limit, Limits, check_limits, limits_of
 from physid.criticism.planning import Task, plan_experiment
@@ -15,7 +15,7 @@ from physid.criticism.refit import Refit, with_candidate
 from physid.criticism.search import base_of
 from physid.criticism.separation import apart, planned, probability, rival_of
 from physid.effects.catalogue import CATALOGUE
-from physid.errors import InputError
+from physid.errors import DivergedError, InputError
 from physid.identification.output_error import minimise
 from physid.identification.study import Options, prepare
 from physid.identification.windows import cut, typical_period
@@ -180,3 +180,15 @@ def test_probability_grows_with_the_separation():
     assert chances[2] == pytest.approx(0.5)
     assert chances[-1] > 0.999
     assert probability(np.array([10.0]), 5.0, 10.0) > 0.5
+
+
+def test_a_rival_next_to_which_runs_diverge_is_none(bench, monkeypatch):
+    def diverging(*arguments, **options):
+        raise DivergedError("A hair's breadth away.")
+
+    known = fitted(bench, "quadratic_drag", RAIL, drag=0.05)
+    monkeypatch.setattr(separation, "reduce", diverging)
+    blind = fitted(bench, "quadratic_drag", RAIL, drag=0.05)
+    assert not blind.known
+    assert doubt._comparable([known, blind, known]) == [known, known]
+    assert doubt._comparable([known, blind]) == []

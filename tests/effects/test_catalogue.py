@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from physid.effects.catalogue import CATALOGUE, add_effects, describe, effect_named, places_of
+from physid.effects.transmission import ripple_trial
 from physid.errors import InputError, ModelError
 from physid.plant.effect import Placed, Scales
 from physid.plant.structure import Place
@@ -258,3 +259,27 @@ def test_asymmetric_friction_contains_coulomb_friction_with_a_load():
     assert outer.plausible({"force_positive": 0.3, "force_negative": 0.1}, SCALES)
     assert not outer.plausible({"force_positive": 0.3, "force_negative": 0.3}, SCALES)
     assert text_of("cogging", "hinge", {"phase": 1.0}) == "cogging@hinge:phase=1.0"
+
+
+@pytest.mark.parametrize("travel", [0.05, 0.2, 6.0])
+def test_every_number_of_periods_that_shows_is_come_to(travel):
+    cogging = next(e for e in CATALOGUE if e.name == "cogging")
+    scales = Scales(
+        position=travel, speed=1.0, acceleration=1.0, force=1.0, travel=travel, largest=1.0, dt=0.01
+    )
+
+    def periods(trials):
+        return [int(t.columns[0]["periods"]) for t in trials]
+
+    grid = periods(cogging.trials(scales))
+    assert grid == sorted(set(grid))
+    most = min(int(6 * 2 * np.pi / travel), 400)
+    assert grid[-1] >= most / 1.2
+    for wanted in range(2, most):
+        # The nearest of what is tried gains most.
+        best = min(grid, key=lambda n: abs(n - wanted))
+        for level in (1, 2, 3):
+            trial = ripple_trial(1.0, best)
+            tried = [best, *periods(cogging.closer(trial, scales, level))]
+            best = min(tried, key=lambda n: abs(n - wanted))
+        assert abs(best - wanted) <= wanted // 300

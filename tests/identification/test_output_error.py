@@ -7,12 +7,14 @@ import pytest
 from scipy.optimize import least_squares
 
 from physid.errors import DivergedError
+from physid.identification import fitting, output_error
 from physid.identification.accuracy import refine_steps
 from physid.identification.columns import columns_of
 from physid.identification.linearisation import linearise
 from physid.identification.output_error import minimise
 from physid.identification.problem import residuals_of, with_activations
 from physid.identification.staged import thinned, windowed
+from physid.identification.study import Options, Study
 from physid.identification.windows import cut, initial_states, whole
 from tests.plant.rigs import PENDULUM, SERVOS, inputs_for, load_text, oscillator, plain, run
 
@@ -270,6 +272,64 @@ def test_the_step_is_refined_until_it_does_not_matter():
     assert error <= 0.1
     loose, _ = refine_steps(replace(problem, sigma=np.array([1e-2])), theta, states, 1)
     assert loose.windows[0].simulator.substeps == 1
+
+
+def test_a_step_at_which_runs_diverge_is_refined():
+    # A natural frequency of 1e3 rad/s: RK4 diverges at 10 ms and at 5 ms.
+    problem = spring_problem(names=(), noise=np.zeros((500, 1)))
+    stiff = replace(problem, model=load_text(oscillator(k=2e6, d=50.0)))
+    theta, states = np.zeros(0), [np.array([[0.02, -0.1]])]
+    coarse = [w.simulator.with_substeps(s) for w in stiff.windows for s in (1, 2)]
+    for simulator in coarse:
+        run = stiff.with_windows([replace(stiff.windows[0], simulator=simulator)])
+        assert not np.isfinite(residuals_of(run, [theta], [states])[0][0]).all()
+    refined, error = refine_steps(stiff, theta, states, 1)
+    assert refined.windows[0].simulator.substeps > 2
+    assert np.isfinite(error)
+
+
+def test_a_fit_ends_before_a_point_next_to_which_runs_diverge(monkeypatch):
+    problem = spring_problem(sigma=1e-4, factor=1.3)
+    reached = []
+
+    def reduce(problem, theta, states, residuals):
+        if len(reached) == allowed:
+            raise DivergedError("A hair's breadth away.")
+        reached.append(theta)
+        return linear(problem, theta, states, residuals)
+
+    linear, allowed = output_error.reduce, 1
+    monkeypatch.setattr(output_error, "reduce", reduce)
+    monkeypatch.setattr(output_error, "SERVES", np.inf)
+    found = minimise(problem, tolerance=1e-8)
+    assert not found.converged
+    assert np.array_equal(found.theta, reached[-1])
+    again = residuals_of(problem, [found.theta], [found.states])[0]
+    assert found.chi2 == pytest.approx(float(np.sum(again[0] ** 2)))
+    allowed, reached[:] = 0, []
+    with pytest.raises(DivergedError, match="hair's breadth"):
+        minimise(problem)
+
+
+def test_whole_records_keep_their_fit_where_windows_diverge(monkeypatch):
+    problem = spring_problem(sigma=1e-4, factor=1.3)
+    study = Study(
+        problem=problem,
+        theta=problem.start(),
+        notes=(),
+        integration_error=0.0,
+        options=Options(),
+    )
+
+    def diverging(*arguments, **options):
+        raise DivergedError("Over windows.")
+
+    monkeypatch.setattr(fitting, "settled_squares", lambda problem: 0.0)
+    monkeypatch.setattr(fitting, "fit_windows", diverging)
+    assert fitting._from_windows(study).theta == pytest.approx(list(TRUTH.values()), rel=3e-3)
+    monkeypatch.setattr(fitting, "fit_whole", diverging)
+    with pytest.raises(DivergedError, match="Over windows"):
+        fitting._from_windows(study)
 
 
 def test_a_divergence_names_the_record_the_time_and_the_joint():

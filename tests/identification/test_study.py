@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from physid.effects.catalogue import add_effects
-from physid.errors import InputError, RecordError
+from physid.errors import DivergedError, InputError, RecordError
+from physid.identification import study as studies
 from physid.identification.fitting import closing_balance, fit_study
-from physid.identification.study import Options, prepare
+from physid.identification.study import Options, choose_hold, free_parameters, prepare
 from physid.record import Record
 from tests.plant.rigs import PENDULUM, load_text
 
@@ -22,6 +23,7 @@ from .rigs import (
     shaft_model,
     shaft_record,
     spring_model,
+    spring_problem,
 )
 
 SHAFT = {
@@ -168,3 +170,34 @@ def test_records_of_different_sensors_are_refused():
     both, one = record(model, u, y, 2e-3), record(model, u, y[:, :1], 2e-3)
     with pytest.raises(RecordError, match="measures other sensors than truth; records given tog"):
         prepare(model, [both, one], Options(fit=["shaft.stiffness"]))
+
+
+def diverging(*arguments, **options):
+    raise DivergedError("It runs away.")
+
+
+def test_where_nothing_can_be_followed_the_input_stays_held(monkeypatch):
+    problem = spring_problem()
+    changing = np.random.default_rng(0).standard_normal((500, 1))
+    windows = problem.windows[0]
+    experiment = replace(windows.experiment, inputs=changing)
+    problem = problem.with_windows([replace(windows, experiment=experiment)])
+    monkeypatch.setattr(studies, "states_only", diverging)
+    monkeypatch.setattr(studies, "minimise", diverging)
+    kept, theta, note = choose_hold(problem, problem.start())
+    assert kept is problem
+    assert np.array_equal(theta, problem.start())
+    assert note == ""
+
+
+def test_what_can_be_freed_is_asked_of_short_windows_where_long_ones_diverge(monkeypatch):
+    asked, identifiable = [], studies.identifiable
+
+    def only_short(problem, wanted):
+        asked.append(problem.windows[0].samples)
+        return diverging() if len(asked) == 1 else identifiable(problem, wanted)
+
+    monkeypatch.setattr(studies, "identifiable", only_short)
+    parameters, _ = free_parameters(spring_problem(), Options(fit="auto"), ())
+    assert parameters
+    assert asked[1] < asked[0]

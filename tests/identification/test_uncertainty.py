@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from physid.errors import DivergedError
+from physid.identification import uncertainty
 from physid.identification.linearisation import linearise, normal_equations, reduce
 from physid.identification.output_error import minimise
 from physid.identification.uncertainty import bartlett, uncertainty_of
@@ -132,3 +134,15 @@ def test_the_bartlett_sum_is_that_of_its_definition():
             total += (1 - lag / 4) * (pair + pair.T)
     assert np.allclose(bartlett(scores, 3), total)
     assert np.allclose(bartlett(scores, 0), scores.T @ scores)
+
+
+def test_next_to_a_divergence_nothing_is_known(monkeypatch):
+    def diverging(*arguments, **options):
+        raise DivergedError("A hair's breadth away.")
+
+    problem = spring_problem()
+    estimate = minimise(problem)
+    monkeypatch.setattr(uncertainty, "columns_of", diverging)
+    found = uncertainty_of(problem, estimate)
+    assert found.covariance.shape == (3, 3)
+    assert np.isnan(found.std_error).all()
