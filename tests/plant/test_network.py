@@ -132,11 +132,10 @@ def test_threads_change_nothing():
             assert np.array_equal(a.states, b.states)
 
 
-def test_a_varying_mass_matrix_is_declined_and_runs_on_the_engine():
+def test_a_mass_matrix_that_turns_runs_as_on_the_engine():
     ours, theirs, simulator = twice(load_text(DOUBLE_PENDULUM), n=100)
-    assert not simulator.compiled
-    assert np.array_equal(ours.states, theirs.states)
-    assert np.isfinite(ours.outputs).all()
+    assert simulator.compiled
+    np.testing.assert_allclose(ours.states, theirs.states, atol=1e-9)
 
 
 def test_an_equality_constraint_is_declined():
