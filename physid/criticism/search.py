@@ -336,9 +336,11 @@ def _wanting_partners(base: Base, fits: Sequence[Refit]) -> list[Refit]:
     best = fits[0]
     simpler = [f for f in fits[1:] if _may_imitate(best, f)]
     if noise_like(base, best):
-        # A pair that does no worse than what remembers must be told, if one of it does nearly all.
+        # A pair that does no worse than what remembers must be told, if one of it does nearly all;
+        # what does all by itself needs no partner.
         own = best.added[0].effect.memory
-        return [f for f in simpler if own and explained(base, f) >= WELL_NAMED][:1]
+        needing = [f for f in simpler if own and explained(base, f) >= WELL_NAMED]
+        return [] if any(noise_like(base, f) for f in needing) else needing[:1]
     if explained(base, best) >= WELL_NAMED:
         return simpler[:1]
     return _different(fits)[:PARTNERS]
