@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
 
 import numpy as np
 
@@ -15,12 +14,11 @@ from physid.criticism.leads import Lead, led
 from physid.criticism.merit import (
     LEAST_GAIN,
     NOISE_LIKE,
-    explained,
-    halves,
     noise_like,
     quiet_base,
     score,
 )
+from physid.criticism.pairs import PARTNERS, REFITS, pairs_beside, wanting_partners
 from physid.criticism.refit import Refit, Start, refit, start_of, with_block, without_partner
 from physid.criticism.timing import between_stretches
 from physid.effects.catalogue import effects_of
@@ -28,7 +26,6 @@ from physid.errors import NumericsError
 from physid.identification.estimate import Estimate
 from physid.identification.linearisation import reduce
 from physid.identification.problem import Problem
-from physid.identification.screening import possible_candidates
 from physid.identification.sizes import scales_of
 from physid.identification.staged import (
     ENOUGH,
@@ -42,12 +39,8 @@ from physid.identification.study import Study
 from physid.plant.effect import Effect, Placed, Scales
 from physid.plant.structure import Place
 
-REFITS = 4
-"""Candidates refitted from each of the two screenings."""
 TRIALS = 3
 """Shapes of each that are started from."""
-PARTNERS = 3
-"""Best single effects that get a partner, and partners tried from each screening."""
 SHOWN = 6
 """Candidates fitted on whole stretches and reported."""
 FEW = 3
@@ -60,8 +53,6 @@ NEARLY = 0.01
 """... or this share of the squares that the model leaves: a step that takes so much leads somewhere."""
 SAME = 10.0
 """Difference of the information criterion within which two fits of one law end."""
-WELL_NAMED = 0.95
-"""... beyond which no pair is looked for."""
 
 
 def search(
@@ -129,11 +120,11 @@ def search(
         report("refitting what contains it", 0.65)
         fits += [f for k in later for f in _refitted(base, long, kept, groups[k], k)]
         fits = _best_with_blocks(base, _better_of(fits, base), scales)
-    partnered = _wanting_partners(base, fits)
+    partnered = wanting_partners(base, fits)
     if not partnered:
         return fits
     report("trying pairs", 0.7)
-    pairs = _pairs(base, fits, partnered, candidates, limit)
+    pairs = pairs_beside(base, fits, partnered, candidates, limit)
     if pairs:
         fits = _with_siblings(base, [*fits, *pairs], scales)
     fits = _best_with_blocks(base, fits, scales)
@@ -305,117 +296,3 @@ def _best_with_blocks(
         done.append(fit if known else with_block(base, fit, _goal(base, done, "block")))
     kept = [f for f in done if f.plausible(scales)]
     return sorted(kept, key=lambda f: score(base, f, tuple(base.fits)))
-
-
-def _different(fits: Sequence[Refit]) -> list[Refit]:
-    """Leave out singles that contain, or are contained in, a better one at the same place."""
-    kept: list[Refit] = []
-    for fit in fits:
-        own = fit.added[0]
-        if not any(
-            o.added[0].place == own.place
-            and (
-                o.added[0].effect.name in own.effect.supersedes
-                or own.effect.name in o.added[0].effect.supersedes
-            )
-            for o in kept
-        ):
-            kept.append(fit)
-    return kept
-
-
-def _wanting_partners(base: Base, fits: Sequence[Refit]) -> list[Refit]:
-    """Return the singles beside which a second effect is looked for; none where one explains all.
-
-    An effect that contains a simpler one at its place may win only because its extra coefficients
-    imitate a second effect, or one with a memory because that starts anew in every window; then the
-    simpler one gets its chance with a partner.
-    """
-    if not fits:
-        return []
-    best = fits[0]
-    simpler = [f for f in fits[1:] if _may_imitate(best, f)]
-    if noise_like(base, best):
-        # A pair that does no worse than what remembers must be told, if one of it does nearly all;
-        # what does all by itself needs no partner.
-        own = best.added[0].effect.memory
-        needing = [f for f in simpler if own and explained(base, f) >= WELL_NAMED]
-        return [] if any(noise_like(base, f) for f in needing) else needing[:1]
-    if explained(base, best) >= WELL_NAMED:
-        return simpler[:1]
-    return _different(fits)[:PARTNERS]
-
-
-def _may_imitate(best: Refit, other: Refit) -> bool:
-    """Say whether the best may be no more than another with a partner: it has it in it, or it remembers."""
-    own, simpler = best.added[0], other.added[0]
-    contained = own.place == simpler.place and simpler.effect.name in own.effect.supersedes
-    return contained or bool(own.effect.memory and not simpler.effect.memory)
-
-
-def _pairs(
-    base: Base,
-    fits: Sequence[Refit],
-    singles: Sequence[Refit],
-    candidates: Sequence[tuple[Effect, Place]],
-    limit: float,
-) -> list[Refit]:
-    """Try a second effect beside some singles; keep a pair that halves what remains.
-
-    Beside a pair that leaves noise alone, what does not come below a limit is not followed.
-    """
-    found: list[Refit] = []
-    wanted = list(candidates)
-    most = PARTNERS - 1 if len(singles) > 1 else REFITS
-    for single in singles:
-        problems = {h: single.problem.with_windows(base.problems[h].windows) for h in single.fits}
-        rest = [
-            (effect, place)
-            for effect, place in possible_candidates(problems["long"])
-            if (effect, place) in wanted
-            and not any(
-                a.effect.name in effect.supersedes and a.place == place for a in single.added
-            )
-        ]
-        grounds = grounds_of(problems, single.fits)
-        goals = {h: _worth_a_pair(base, single, fits[0], h) for h in single.fits}
-        for group in screened(grounds, rest, most, 1):
-            pair = refit(
-                base,
-                problems["long"],
-                group.starts,
-                group.scales,
-                rank=single.rank,
-                already=single.added,
-                near=limit if any(noise_like(base, f) for f in found) else np.inf,
-                goal=goals["long"],
-            )
-            if pair is None:
-                continue
-            pair = with_block(base, pair, goals.get("block", np.inf))
-            if any(frozenset(f.sites()) == frozenset(pair.sites()) for f in found):
-                continue
-            if any(halves(base, single, pair, h) for h in base.fits):
-                found.append(_ordered(base, pair, fits))
-        if any(noise_like(base, pair, NOISE_ALONE) for pair in found):
-            break  # no pair from a worse single can do better
-    return found
-
-
-def _worth_a_pair(base: Base, single: Refit, best: Refit, horizon: str) -> float:
-    """Return the squares below which a pair halves what a single leaves beyond noise and beats the best one."""
-    halved = 0.5 * (single.fits[horizon].squares + base.problems[horizon].measurements())
-    return min(halved, best.fits[horizon].squares)
-
-
-def _ordered(base: Base, pair: Refit, singles: Sequence[Refit]) -> Refit:
-    """Put the effect first that does more for whole stretches by itself."""
-    horizon = "block" if "block" in base.fits else "long"
-    alone = {
-        f.sites()[0]: f.fits[horizon].squares
-        for f in singles
-        if len(f.added) == 1 and horizon in f.fits
-    }
-    worst = base.fits[horizon].squares
-    order = sorted(range(len(pair.added)), key=lambda k: alone.get(pair.sites()[k], worst))
-    return replace(pair, added=tuple(pair.added[k] for k in order))

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physid.criticism import merit, search
+from physid.criticism import merit, pairs, search
 from physid.criticism import refit as refitting
 from physid.criticism.grounds import Group
 from physid.criticism.refit import Start, _seen_from, alike, refit, with_block, without_partner
@@ -155,12 +155,12 @@ def refit_of(effect, place=HINGE):
 def test_what_remembers_or_contains_more_may_imitate_a_pair():
     # A hanging mass starts anew in every window, and so imitates an offset beside a damper.
     body = Place("body", "pendulum")
-    assert search._may_imitate(refit_of("unmodelled_mode", body), refit_of("viscous_damping"))
-    assert search._may_imitate(refit_of("stribeck_friction"), refit_of("coulomb_friction"))
-    assert not search._may_imitate(refit_of("viscous_damping"), refit_of("unmodelled_mode", body))
-    assert not search._may_imitate(refit_of("unmodelled_mode", body), refit_of("sensor_lag"))
+    assert pairs._may_imitate(refit_of("unmodelled_mode", body), refit_of("viscous_damping"))
+    assert pairs._may_imitate(refit_of("stribeck_friction"), refit_of("coulomb_friction"))
+    assert not pairs._may_imitate(refit_of("viscous_damping"), refit_of("unmodelled_mode", body))
+    assert not pairs._may_imitate(refit_of("unmodelled_mode", body), refit_of("sensor_lag"))
     elsewhere = refit_of("coulomb_friction", Place("joint", "other"))
-    assert not search._may_imitate(refit_of("stribeck_friction"), elsewhere)
+    assert not pairs._may_imitate(refit_of("stribeck_friction"), elsewhere)
 
 
 def test_beside_what_remembers_a_pair_is_tried_where_one_of_it_does_nearly_all(monkeypatch):
@@ -170,17 +170,17 @@ def test_beside_what_remembers_a_pair_is_tried_where_one_of_it_does_nearly_all(m
     )
     friction, stribeck = refit_of("coulomb_friction"), refit_of("stribeck_friction")
     shares = {}
-    monkeypatch.setattr(search, "noise_like", lambda base, fit: True)
-    assert search._wanting_partners(None, [mode, damper]) == []
-    monkeypatch.setattr(search, "noise_like", lambda base, fit: fit is not damper)
-    monkeypatch.setattr(search, "explained", lambda base, fit: shares.get(id(fit), 1.0))
-    assert search._wanting_partners(None, [mode, damper]) == [damper]
-    assert search._wanting_partners(None, [stribeck, friction]) == []
+    monkeypatch.setattr(pairs, "noise_like", lambda base, fit: True)
+    assert pairs.wanting_partners(None, [mode, damper]) == []
+    monkeypatch.setattr(pairs, "noise_like", lambda base, fit: fit is not damper)
+    monkeypatch.setattr(pairs, "explained", lambda base, fit: shares.get(id(fit), 1.0))
+    assert pairs.wanting_partners(None, [mode, damper]) == [damper]
+    assert pairs.wanting_partners(None, [stribeck, friction]) == []
     shares[id(damper)] = 0.9
-    assert search._wanting_partners(None, [mode, damper]) == []
-    monkeypatch.setattr(search, "noise_like", lambda base, fit: False)
-    assert search._wanting_partners(None, [mode, damper]) == [damper]
-    assert search._wanting_partners(None, [stribeck, friction]) == [friction]
+    assert pairs.wanting_partners(None, [mode, damper]) == []
+    monkeypatch.setattr(pairs, "noise_like", lambda base, fit: False)
+    assert pairs.wanting_partners(None, [mode, damper]) == [damper]
+    assert pairs.wanting_partners(None, [stribeck, friction]) == [friction]
 
 
 def test_states_start_from_what_is_measured_where_the_base_is_far_from_the_record(rubbing):

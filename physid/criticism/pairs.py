@@ -1,0 +1,137 @@
+"""Two effects at once: which single wants a partner, and the pairs that come of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from physid.criticism.base import NOISE_ALONE, Base
+from physid.criticism.grounds import grounds_of, screened
+from physid.criticism.merit import explained, halves, noise_like
+from physid.criticism.refit import Refit, refit, with_block
+from physid.identification.screening import possible_candidates
+from physid.plant.effect import Effect
+from physid.plant.structure import Place
+
+REFITS = 4
+"""Candidates refitted from each of the two screenings."""
+PARTNERS = 3
+"""Best single effects that get a partner, and partners tried from each screening."""
+WELL_NAMED = 0.95
+"""... beyond which no pair is looked for."""
+
+
+def _different(fits: Sequence[Refit]) -> list[Refit]:
+    """Leave out singles that contain, or are contained in, a better one at the same place."""
+    kept: list[Refit] = []
+    for fit in fits:
+        own = fit.added[0]
+        if not any(
+            o.added[0].place == own.place
+            and (
+                o.added[0].effect.name in own.effect.supersedes
+                or own.effect.name in o.added[0].effect.supersedes
+            )
+            for o in kept
+        ):
+            kept.append(fit)
+    return kept
+
+
+def wanting_partners(base: Base, fits: Sequence[Refit]) -> list[Refit]:
+    """Return the singles beside which a second effect is looked for; none where one explains all.
+
+    An effect that contains a simpler one at its place may win only because its extra coefficients
+    imitate a second effect, or one with a memory because that starts anew in every window; then the
+    simpler one gets its chance with a partner.
+    """
+    if not fits:
+        return []
+    best = fits[0]
+    simpler = [f for f in fits[1:] if _may_imitate(best, f)]
+    if noise_like(base, best):
+        # A pair that does no worse than what remembers must be told, if one of it does nearly all;
+        # what does all by itself needs no partner.
+        own = best.added[0].effect.memory
+        needing = [f for f in simpler if own and explained(base, f) >= WELL_NAMED]
+        return [] if any(noise_like(base, f) for f in needing) else needing[:1]
+    if explained(base, best) >= WELL_NAMED:
+        return simpler[:1]
+    return _different(fits)[:PARTNERS]
+
+
+def _may_imitate(best: Refit, other: Refit) -> bool:
+    """Say whether the best may be no more than another with a partner: it has it in it, or it remembers."""
+    own, simpler = best.added[0], other.added[0]
+    contained = own.place == simpler.place and simpler.effect.name in own.effect.supersedes
+    return contained or bool(own.effect.memory and not simpler.effect.memory)
+
+
+def pairs_beside(
+    base: Base,
+    fits: Sequence[Refit],
+    singles: Sequence[Refit],
+    candidates: Sequence[tuple[Effect, Place]],
+    limit: float,
+) -> list[Refit]:
+    """Try a second effect beside some singles; keep a pair that halves what remains.
+
+    Beside a pair that leaves noise alone, what does not come below a limit is not followed.
+    """
+    found: list[Refit] = []
+    wanted = list(candidates)
+    most = PARTNERS - 1 if len(singles) > 1 else REFITS
+    for single in singles:
+        problems = {h: single.problem.with_windows(base.problems[h].windows) for h in single.fits}
+        rest = [
+            (effect, place)
+            for effect, place in possible_candidates(problems["long"])
+            if (effect, place) in wanted
+            and not any(
+                a.effect.name in effect.supersedes and a.place == place for a in single.added
+            )
+        ]
+        grounds = grounds_of(problems, single.fits)
+        goals = {h: _worth_a_pair(base, single, fits[0], h) for h in single.fits}
+        for group in screened(grounds, rest, most, 1):
+            pair = refit(
+                base,
+                problems["long"],
+                group.starts,
+                group.scales,
+                rank=single.rank,
+                already=single.added,
+                near=limit if any(noise_like(base, f) for f in found) else np.inf,
+                goal=goals["long"],
+            )
+            if pair is None:
+                continue
+            pair = with_block(base, pair, goals.get("block", np.inf))
+            if any(frozenset(f.sites()) == frozenset(pair.sites()) for f in found):
+                continue
+            if any(halves(base, single, pair, h) for h in base.fits):
+                found.append(_ordered(base, pair, fits))
+        if any(noise_like(base, pair, NOISE_ALONE) for pair in found):
+            break  # no pair from a worse single can do better
+    return found
+
+
+def _worth_a_pair(base: Base, single: Refit, best: Refit, horizon: str) -> float:
+    """Return the squares below which a pair halves what a single leaves beyond noise and beats the best one."""
+    halved = 0.5 * (single.fits[horizon].squares + base.problems[horizon].measurements())
+    return min(halved, best.fits[horizon].squares)
+
+
+def _ordered(base: Base, pair: Refit, singles: Sequence[Refit]) -> Refit:
+    """Put the effect first that does more for whole stretches by itself."""
+    horizon = "block" if "block" in base.fits else "long"
+    alone = {
+        f.sites()[0]: f.fits[horizon].squares
+        for f in singles
+        if len(f.added) == 1 and horizon in f.fits
+    }
+    worst = base.fits[horizon].squares
+    order = sorted(range(len(pair.added)), key=lambda k: alone.get(pair.sites()[k], worst))
+    return replace(pair, added=tuple(pair.added[k] for k in order))
