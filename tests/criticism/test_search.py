@@ -171,9 +171,9 @@ def test_beside_what_remembers_a_pair_is_tried_where_one_of_it_does_nearly_all(m
     friction, stribeck = refit_of("coulomb_friction"), refit_of("stribeck_friction")
     shares = {}
     monkeypatch.setattr(pairs, "noise_like", lambda base, fit: True)
+    monkeypatch.setattr(pairs, "explained", lambda base, fit: shares.get(id(fit), 1.0))
     assert pairs.wanting_partners(None, [mode, damper]) == []
     monkeypatch.setattr(pairs, "noise_like", lambda base, fit: fit is not damper)
-    monkeypatch.setattr(pairs, "explained", lambda base, fit: shares.get(id(fit), 1.0))
     assert pairs.wanting_partners(None, [mode, damper]) == [damper]
     assert pairs.wanting_partners(None, [stribeck, friction]) == []
     shares[id(damper)] = 0.9
