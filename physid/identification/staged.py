@@ -29,7 +29,7 @@ SHORT, LONG = 0.3, 1.5
 """Window lengths in typical periods of the motion."""
 FEWEST = 12
 """Windows that are kept however long they are."""
-LEAST_BEGINNING = 200
+LEAST_BEGINNING = 40
 """Samples below which the beginning of a window is not fitted by itself."""
 ENOUGH = 5000
 """Samples used while a start is looked for."""
