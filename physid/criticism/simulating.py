@@ -120,9 +120,10 @@ def _inputs(
     )
     missing = [n for n in structure.inputs if n not in source.columns]
     if missing:
+        there = ", ".join((*source.columns, *source.ignored)) or "none but time"
         raise InputError(
-            f"{source.path} has no column for the actuator {missing[0]}; its columns are "
-            f"{', '.join(source.columns) or 'none but time'}; rename one with --map COLUMN={missing[0]}."
+            f"{source.path} has no column for the actuator {missing[0]}; its columns are {there}; "
+            f"rename one with --map COLUMN={missing[0]}."
         )
     values = source.select(structure.inputs) if structure.inputs else np.zeros((source.samples, 0))
     return np.asarray(source.time), values, source.path

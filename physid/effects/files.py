@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba.core.errors import NumbaError
 
 from physid.effects.own import MECHANICAL, SPREAD, LawEffect, OwnEffect
 from physid.effects.snippet import PLACEHOLDER, SnippetEffect, faults, filled
@@ -239,7 +238,7 @@ def _wrong_function(kind: type[LawEffect]) -> str:
         )
     try:
         _ = function.compiled
-    except NumbaError as error:
+    except Exception as error:  # noqa: BLE001 - numba lets through what it does not know
         return f"cannot be compiled: {_said(error)}"
     return ""
 

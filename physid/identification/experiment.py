@@ -76,17 +76,18 @@ def as_experiment(
     """
     structure = model.structure
     record = _loaded(source, structure, rename)
+    there = ", ".join((*record.columns, *record.ignored)) or "none but time"
     missing = [name for name in structure.inputs if name not in record.columns]
     if missing:
         raise RecordError(
             f"{record.path} has no column for the actuator {missing[0]} of {model.name}; its columns "
-            f"are {', '.join(record.columns)}; rename one with --map COLUMN={missing[0]}."
+            f"are {there}; rename one with --map COLUMN={missing[0]}."
         )
     measured = [k for k, c in enumerate(structure.channels) if c.name in record.columns]
     if not measured:
         raise RecordError(
             f"{record.path} has no column named as a sensor of {model.name}; its columns are "
-            f"{', '.join(record.columns)}. {available(c.name for c in structure.channels)}"
+            f"{there}. {available(c.name for c in structure.channels)}"
         )
     outputs = record.select([structure.channels[k].name for k in measured])
     if not np.any(np.ptp(outputs, axis=0) > 0):

@@ -23,8 +23,6 @@ from physid.plant.compiling import kept, kept_c_function
 
 _NUMBERS: Any = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
 LAW_SIGNATURE = types.float64(types.float64, types.float64, types.float64, _NUMBERS)
-
-
 MEMORY_SIGNATURE = types.float64(
     types.float64, types.float64, types.float64, _NUMBERS, _NUMBERS, types.int64
 )
@@ -32,7 +30,9 @@ MEMORY_SIGNATURE = types.float64(
 
 @dataclass(frozen=True)
 class Law:
-    """A law and its C function; numba's errors come when that is first asked for.
+    """A law and its C function, compiled when that is first asked for.
+
+    What numba cannot compile raises then, one of its own errors or another.
 
     Attributes
     ----------

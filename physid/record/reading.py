@@ -71,9 +71,11 @@ def load_record(
             f"{shown} has no column 'time' (s), which a record needs: add it, or rename the column "
             f"that holds it. {available(table.names)}"
         )
-    if only is not None:
-        table = only_named(table, ["time", *only])
-    return _record(table, held)
+    if only is None:
+        return _record(table, held)
+    wanted = ["time", *only]
+    ignored = tuple(name for name in table.names if name not in wanted)
+    return replace(_record(only_named(table, wanted), held), ignored=ignored)
 
 
 def _read(file: Path, shown: str) -> Table:

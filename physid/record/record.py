@@ -59,6 +59,8 @@ class Record:
         What was done to the data on reading, one sentence each.
     raw : Samples, optional
         The samples before resampling, where the times had jitter; `hold` needs them.
+    ignored : tuple of str
+        Names of the file's columns that were not wanted.
 
     Raises
     ------
@@ -73,6 +75,7 @@ class Record:
     path: str = "record"
     notes: tuple[str, ...] = ()
     raw: Samples | None = field(default=None, repr=False)
+    ignored: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", _frozen(self.time))

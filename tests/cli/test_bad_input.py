@@ -107,6 +107,11 @@ def test_model_that_does_not_compile(call, tmp_path, record):
             edited(motor=None), ["motor", "drive_angle", "load_angle"], id="no actuator's column"
         ),
         pytest.param(
+            edited(motor=None, motr=columns()["motor"]),
+            ["actuator motor", "motr", "--map COLUMN=motor"],
+            id="actuator's column misspelt",
+        ),
+        pytest.param(
             edited(drive_angle=None, load_angle=None), ["drive_angle", "load_angle"], id="no sensor"
         ),
         pytest.param(with_cell("load_angle", 40, MISSING), ["load_angle", "42"], id="NaN"),
@@ -320,3 +325,8 @@ def test_model_that_diverges(call, runaway, tmp_path, monkeypatch):
     assert "'spring'" in sentence
     assert re.search(r"\d s\b", sentence)
     assert [path.name for path in tmp_path.iterdir()] == ["runaway.xml"]
+
+
+def test_misspelt_input_of_a_simulation(call, tmp_path, model):
+    path = write_csv(tmp_path / "inputs.csv", edited(motor=None, motr=columns()["motor"]))
+    assert "motr" in call("simulate", model, "--input", path).refused()

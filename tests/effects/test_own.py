@@ -322,6 +322,9 @@ WRONG_LAWS = [
     ({"before": "1 / 0"}, "cannot be run: ZeroDivisionError: division by zero."),
     ({"before": "raise SystemExit(3)"}, "cannot be run: SystemExit: 3."),
     ({"law": "undefined(x)"}, "cannot be compiled: TypingError"),
+    ({"function": "force_law(abs)"}, "cannot be compiled: AttributeError"),
+    ({"function": "force_law(lambda x: x)"}, "cannot be compiled: TypeError: Signature mismatch"),
+    ({"function": "force_law(3)"}, "cannot be compiled: AttributeError"),
 ]
 
 

@@ -4,7 +4,7 @@ from numba.core import caching
 
 from physid.plant.callback import _callbacks, own_mark
 from physid.plant.compiling import kept, kept_c_function
-from physid.plant.law import LAW_SIGNATURE
+from physid.plant.law import LAW_SIGNATURE, force_law
 
 
 def test_without_a_writable_folder_functions_are_compiled_anew(monkeypatch):
@@ -40,3 +40,11 @@ def test_kept_code_reads_the_mark_of_its_own_process():
 
     assert read() == mark
     assert 1e9 < mark < 1e12
+
+
+def test_a_law_is_compiled_once_and_only_when_its_address_is_asked_for():
+    law = force_law(lambda x, v, t, p: -p[0] * x)
+    assert "compiled" not in vars(law)
+    first = law.address
+    assert first
+    assert law.address == first
