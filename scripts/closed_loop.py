@@ -2,8 +2,7 @@
 
 Each stable rig has one hidden effect and noisy sensors; an M-sequence excites it through Gymnasium,
 the record is written to a file, and ``physid.diagnose`` gets that file and the rig's MJCF. The
-two-wheel robot is balanced by a state feedback with an M-sequence added, and its record, cut into
-pieces, is fitted.
+two-wheel robot is balanced by a state feedback with an M-sequence added, and its record is fitted.
 
     python scripts/closed_loop.py --json
     python scripts/closed_loop.py --small      # two rigs
@@ -28,7 +27,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "envs")]
 
 import gymnasium  # noqa: E402
 import typer  # noqa: E402
-from physid_envs import pieces, regulator_gain, run_experiment  # noqa: E402
+from physid_envs import regulator_gain, run_experiment  # noqa: E402
 from physid_envs.rigs import NAMES  # noqa: E402
 
 import physid  # noqa: E402
@@ -135,7 +134,7 @@ def fitted_robot(seed: int, small: bool) -> float:
     excitation = f"mseq:stages={7 if small else 8},clock=0.02,amplitude=0.5"
     record = run_experiment(env, excitation, feedback=regulator_gain(env), seed=seed)
     fit: Sequence[str] | str = ["motor.gear"] if small else "auto"
-    found = physid.fit(rig_path("two_wheel_robot"), pieces(record, 0.5), fit=fit).as_dict()
+    found = physid.fit(rig_path("two_wheel_robot"), [record], fit=fit).as_dict()
     return max(float(channel["nrmse"]) for channel in found["channels"])
 
 

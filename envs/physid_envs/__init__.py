@@ -23,7 +23,7 @@ from physid_envs.excitation import Excite
 from physid_envs.experiment import run_experiment
 from physid_envs.feedback import StateFeedback, regulator_gain
 from physid_envs.learning import EnvironmentExperiment
-from physid_envs.recording import Recorder, pieces
+from physid_envs.recording import Recorder
 from physid_envs.registration import register_all
 from physid_envs.task import Task
 
@@ -35,7 +35,6 @@ __all__ = [
     "RigEnv",
     "StateFeedback",
     "Task",
-    "pieces",
     "regulator_gain",
     "run_experiment",
 ]

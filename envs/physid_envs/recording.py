@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from pathlib import Path
 from typing import Any
@@ -93,33 +92,6 @@ class Recorder(
         if found[4].get("ended") != DIVERGED:
             self._rows.append(self._rig.sample)
         return found
-
-
-def pieces(record: Record, duration: float) -> list[Record]:
-    """Cut a record into pieces, each with an initial state of its own in a joint fit.
-
-    The simulation of an unstable rig departs from its record like exp(p t), p its fastest unstable
-    pole; over pieces of two to six times 1/p it stays close enough for a fit, a comparison or a
-    diagnosis.
-
-    Parameters
-    ----------
-    record : Record
-    duration : float
-        Of a piece [s]; what is left at the end is dropped.
-
-    Raises
-    ------
-    InputError
-        If a piece would have fewer than two samples, or more than the record.
-    """
-    count = round(duration / record.dt) if math.isfinite(duration) else 0
-    if not 2 <= count <= record.samples:
-        raise InputError(
-            f"Pieces of {duration:g} s cannot be cut from {record.path}, which lasts "
-            f"{record.duration:.6g} s in steps of {record.dt:g} s; give a duration in between."
-        )
-    return [record.slice(k, k + count) for k in range(0, record.samples - count + 1, count)]
 
 
 def rig_of(env: gymnasium.Env[Any, Any]) -> RigEnv:

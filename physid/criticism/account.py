@@ -18,6 +18,7 @@ from physid.criticism.residuals import (
 )
 from physid.identification.estimate import Estimate
 from physid.identification.problem import Problem
+from physid.identification.windows import in_a_row
 from physid.plant.effect import Placed
 from physid.plant.model import Model
 from physid.plant.parameter import Parameter, units_of, write_unit
@@ -37,11 +38,12 @@ def channel_rows(problem: Problem, estimate: Estimate) -> list[list[dict[str, ob
     rows = []
     for windows, weighted in zip(problem.windows, estimate.residuals, strict=True):
         experiment = windows.experiment
-        residual = weighted[0] * problem.sigma
+        residual = in_a_row(weighted) * problem.sigma
         spread = np.sqrt(
             np.mean((experiment.outputs - experiment.outputs.mean(axis=0)) ** 2, axis=0)
         )
         rmse = np.sqrt(np.mean(residual**2, axis=0))
+        inputs = experiment.inputs[: len(residual)]
         found = []
         for k, channel in enumerate(experiment.channels):
             error = rmse[k] / spread[k] if spread[k] > 0 else float("nan")
@@ -53,7 +55,7 @@ def channel_rows(problem: Problem, estimate: Estimate) -> list[list[dict[str, ob
                     "rmse": finite(rmse[k]),
                     "unit": structure.channels[channel].unit,
                     "residual_white": is_white(residual[:, k]),
-                    "input_correlated": follows_input(residual[:, k], experiment.inputs),
+                    "input_correlated": follows_input(residual[:, k], inputs),
                 }
             )
         rows.append(found)
@@ -166,11 +168,12 @@ def record_curves(
         zip(problem.windows, estimate.residuals, strict=True), start=first
     ):
         experiment = windows.experiment
-        rows = thin(experiment.samples)
+        residual = in_a_row(weighted) * problem.sigma
+        rows = thin(len(residual))
         curves[f"{k}.time"] = experiment.time[rows]
         curves[f"{k}.measured"] = experiment.outputs[rows]
         curves[f"{k}.input"] = experiment.inputs[rows]
-        curves[f"{k}.{label}"] = (experiment.outputs - weighted[0] * problem.sigma)[rows]
+        curves[f"{k}.{label}"] = experiment.outputs[rows] - residual[rows]
     return curves
 
 
@@ -179,8 +182,9 @@ def residual_curves(
 ) -> dict[str, np.ndarray]:
     """Return the residual tests' curves of the first record; ``suffix`` is "" or "_before"."""
     experiment = problem.windows[0].experiment
-    residual = estimate.residuals[0][0] * problem.sigma
+    residual = in_a_row(estimate.residuals[0]) * problem.sigma
     n, ny = residual.shape
+    inputs = experiment.inputs[:n]
     lags = min(LAGS, n - 1)
     curves = {
         f"residual.acf{suffix}": np.array(
@@ -189,8 +193,8 @@ def residual_curves(
         f"residual.acf_band{suffix}": np.full(ny, white_band(n, lags)),
         "residual.lag": np.arange(lags + 1) * experiment.dt,
     }
-    moving = [u for u in experiment.inputs.T if np.ptp(u) > 0]
-    if len(moving) == experiment.inputs.shape[1] and moving:
+    moving = [u for u in inputs.T if np.ptp(u) > 0]
+    if len(moving) == inputs.shape[1] and moving:
         pairs = [(residual[:, k], u) for k in range(ny) for u in moving]
         curves[f"residual.ccf{suffix}"] = np.array(
             [cross_correlation(r, u, lags) for r, u in pairs]
@@ -202,7 +206,7 @@ def residual_curves(
 
 def spectrum_curves(problem: Problem, estimate: Estimate, label: str) -> dict[str, np.ndarray]:
     """Return the amplitude density of the first record's residual, by Welch's method (1967)."""
-    residual = estimate.residuals[0][0] * problem.sigma
+    residual = in_a_row(estimate.residuals[0]) * problem.sigma
     dt = problem.windows[0].experiment.dt
     segment = int(min(len(residual), max(256, len(residual) // 8)))
     pieces = sliding_window_view(residual, segment, axis=0)[:: max(segment // 2, 1)]

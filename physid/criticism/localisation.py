@@ -19,6 +19,7 @@ from physid.identification.linearisation import linearise, project_out
 from physid.identification.problem import Problem, residuals_of, with_activations
 from physid.identification.screening import thinned_fit
 from physid.identification.sizes import scales_of
+from physid.identification.windows import in_a_row
 from physid.plant.model import Model
 from physid.plant.structure import Place
 
@@ -205,7 +206,7 @@ def where(problem: Problem, estimate: Estimate, latent: list[Latent]) -> dict[st
 
 def _times(problem: Problem, estimate: Estimate) -> list[dict[str, float]]:
     time = problem.windows[0].experiment.time
-    energy = np.sum(estimate.residuals[0][0] ** 2, axis=1)
+    energy = np.sum(in_a_row(estimate.residuals[0]) ** 2, axis=1)
     total = float(energy.sum()) or 1.0
     edges = np.linspace(0, len(energy), SEGMENTS + 1).astype(int)
     return [
@@ -219,7 +220,7 @@ def _times(problem: Problem, estimate: Estimate) -> list[dict[str, float]]:
 
 
 def _bands(problem: Problem, estimate: Estimate) -> list[dict[str, float]]:
-    residual = estimate.residuals[0][0]
+    residual = in_a_row(estimate.residuals[0])
     dt = problem.windows[0].experiment.dt
     power = np.sum(
         np.abs(np.fft.rfft(residual * np.hanning(len(residual))[:, None], axis=0)) ** 2, axis=1

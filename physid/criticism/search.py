@@ -51,6 +51,8 @@ noise alone; at most halfway from noise to what the model leaves, and less than 
 chance.  The second where MuJoCo takes its time."""
 NEARLY = 0.01
 """... or this share of the squares that the model leaves: a step that takes so much leads somewhere."""
+MUCH_LONGER = 1.5
+"""Length of whole stretches over that of long windows from which they are a horizon of their own."""
 SAME = 10.0
 """Difference of the information criterion within which two fits of one law end."""
 
@@ -218,12 +220,11 @@ def base_of(study: Study) -> Base:
     if compiled(problems["long"]):
         again = fit_windows(problems["long"], fits["short"].theta)
         fits["long"] = min(long, again, key=lambda e: e.chi2)
-    try:
-        block = fit_windows(problems["block"], fits["long"].theta)
-        if float(np.max(nrmse(problems["block"], block))) < 1.0:
-            fits["block"] = block
-    except NumericsError:
-        pass
+    if _much_longer(problems["block"], problems["long"]):
+        with suppress(NumericsError):
+            block = fit_windows(problems["block"], fits["long"].theta)
+            if float(np.max(nrmse(problems["block"], block))) < 1.0:
+                fits["block"] = block
     points = {}
     for h, f in fits.items():
         with suppress(NumericsError):
@@ -231,6 +232,14 @@ def base_of(study: Study) -> Base:
     if "block" not in points:
         fits.pop("block", None)
     return Base(problems=problems, fits=fits, points=points).with_few()
+
+
+def _much_longer(blocks: Problem, long: Problem) -> bool:
+    """Say whether whole stretches tell more than long windows: what cannot be followed for long is cut alike."""
+    return all(
+        b.samples > MUCH_LONGER * w.samples
+        for b, w in zip(blocks.windows, long.windows, strict=True)
+    )
 
 
 def _followed(study: Study, long: Problem, theta: np.ndarray) -> tuple[Problem, Estimate]:

@@ -26,6 +26,7 @@ from physid.identification.stepping_fit import Modes, fit_switch, stepped
 from physid.identification.study import CLEARLY, HoldChoice, Options, prepare
 from physid.identification.switched import Course, Switch
 from physid.identification.whitening import Simulation, Whitened, staged
+from physid.identification.windows import in_a_row
 from physid.plant.model import Model
 from physid.plant.simulation import Hold, between_samples
 
@@ -89,7 +90,7 @@ def constant_beside(found: RegressionFit, records: list[object], options: Option
     order = [[q.name for q in problem.parameters].index(n) for n in names]
     simulation, start, measured = _whole(problem, fitted.estimate.theta, fitted.estimate.states)
     best = staged(simulation, measured, start)
-    ends = np.cumsum([w.experiment.samples for w in problem.windows])[:-1]
+    ends = np.cumsum([len(w.starts) * w.samples for w in problem.windows])[:-1]
     residual = np.split(best.residual, ends)
     by_instruments, without_bias = _corrected(found, problem, residual)
     return Beside(
@@ -97,7 +98,9 @@ def constant_beside(found: RegressionFit, records: list[object], options: Option
         theta=best.theta[:p][order],
         std_error=best.std_error[:p][order],
         residual=tuple(residual),
-        inputs=tuple(w.experiment.inputs for w in problem.windows),
+        inputs=tuple(
+            w.experiment.inputs[: len(r)] for w, r in zip(problem.windows, residual, strict=True)
+        ),
         settled=best.settled,
         places=np.zeros(0),
         values=np.zeros(0),
@@ -114,7 +117,7 @@ def _corrected(
     seen: list[np.ndarray] = []
     driven: list[np.ndarray] = []
     for windows, left in zip(problem.windows, residual, strict=True):
-        experiment = windows.experiment
+        experiment = windows.experiment.beginning(len(left))
         simulated = replace(experiment, outputs=experiment.outputs - left)
         for e, rows in ((experiment, seen), (simulated, driven)):
             motion = measured_motion(found.model, e)
@@ -149,14 +152,14 @@ def _whole(
     sizes = np.concatenate(
         [np.tile(_sizes(problem.model, w.experiment), len(w.starts)) for w in problem.windows]
     )
-    measured = np.vstack([w.measured()[0] for w in problem.windows])
+    measured = np.vstack([in_a_row(w.measured()) for w in problem.windows])
 
     def simulation(vector: np.ndarray) -> np.ndarray:
         flat = about + sizes * (vector[p:] - 1.0)
         ends = np.cumsum([int(np.prod(s)) for s in shapes])[:-1]
         initial = [x.reshape(s) for x, s in zip(np.split(flat, ends), shapes, strict=True)]
         left = residuals_of(problem, [vector[:p]], [initial])[0]
-        return np.asarray(measured - np.vstack([r[0] for r in left]) * problem.sigma)
+        return np.asarray(measured - np.vstack([in_a_row(r) for r in left]) * problem.sigma)
 
     return simulation, np.concatenate([theta, np.ones(len(about))]), measured
 

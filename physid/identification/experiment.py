@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -35,6 +35,8 @@ class Experiment:
         Which of the structure's channels are measured.
     notes : tuple of str
         What was resampled, ignored or is unusual.
+    reach : int or None
+        Samples over which the model can be simulated from one initial state; None for all of them.
     """
 
     path: str
@@ -43,6 +45,7 @@ class Experiment:
     outputs: np.ndarray
     channels: np.ndarray
     notes: tuple[str, ...] = ()
+    reach: int | None = None
 
     @property
     def dt(self) -> float:
@@ -53,6 +56,15 @@ class Experiment:
     def samples(self) -> int:
         """Number of rows."""
         return len(self.time)
+
+    def beginning(self, samples: int) -> Experiment:
+        """Return its first samples."""
+        return replace(
+            self,
+            time=self.time[:samples],
+            inputs=self.inputs[:samples],
+            outputs=self.outputs[:samples],
+        )
 
     @cached_property
     def period(self) -> float:

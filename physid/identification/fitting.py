@@ -118,7 +118,8 @@ def _through_windows(study: Study) -> Estimate:
     problem = on_whole_records(study.problem)
     estimate = fit_whole(problem, near.theta, [x[:1] for x in near.states])
     expected = near.squares / windows.measurements()
-    if estimate.squares < FAR_WORSE * expected * problem.measurements():
+    in_pieces = any(len(w.starts) > 1 for w in problem.windows)
+    if in_pieces or estimate.squares < FAR_WORSE * expected * problem.measurements():
         return estimate
     try:
         other = fit_growing(problem, near.theta)

@@ -295,6 +295,10 @@ def fit_whole(
         If the simulation diverges or no minimum is reached.
     """
     whole_problem = on_whole_records(problem)
+    if states is not None and any(
+        len(x) != len(w.starts) for x, w in zip(states, whole_problem.windows, strict=True)
+    ):
+        states = None  # where records begin says little of where their later pieces do
     if tolerance is None:
         tolerance = 1e-6 if compiled(problem) else 1e-4
     estimate = minimise(whole_problem, theta, states, iterations=40, tolerance=tolerance, keep=True)

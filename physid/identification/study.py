@@ -23,6 +23,7 @@ from physid.identification.freedom import candidates, identifiable, named
 from physid.identification.noise import noise_level
 from physid.identification.output_error import minimise
 from physid.identification.problem import Problem
+from physid.identification.reach import within_reach
 from physid.identification.screening import screen
 from physid.identification.staged import (
     ENOUGH,
@@ -130,7 +131,6 @@ def prepare(
     loaded, free = add_effects(as_model(model), options.add)
     experiments = experiments_of(loaded, records, options)
     notes = [*loaded.notes, *(n for e in experiments for n in e.notes)]
-    _check_moving_joints(loaded)
     first_hold: Hold = options.hold if options.hold in ("zero", "first", "smooth") else "zero"
     problem = _problem(loaded, experiments, first_hold, options)
     parameters, choice_notes = free_parameters(problem, options, free)
@@ -233,11 +233,12 @@ def _started_parameter(parameter: Parameter, found: Mapping[str, float]) -> Para
 
 def experiments_of(model: Model, records: Sequence[object], options: Options) -> list[Experiment]:
     """Match all records to the model and check that they belong together."""
+    _check_moving_joints(model)
     if not records:
         raise InputError("No record is given; give one CSV, Parquet, NPZ or MAT file at least.")
     experiments = [as_experiment(model, r, options.rename) for r in records]
     check_same_channels(experiments)
-    return experiments
+    return [within_reach(model, e) for e in experiments]
 
 
 def _check_moving_joints(model: Model) -> None:

@@ -57,19 +57,29 @@ Span = tuple[int, int]
 
 
 def whole(experiment: Experiment, simulator: Simulator) -> Windows:
-    """Return the record as one window."""
+    """Return the record as one window, or as equal ones in a row of which a model's reach spans each.
+
+    Fewer samples than there are windows may be left at the record's end.
+    """
+    pieces = -(-experiment.samples // (experiment.reach or experiment.samples))
+    samples = experiment.samples // pieces
     return Windows(
         experiment=experiment,
         simulator=simulator,
-        starts=np.zeros(1, int),
-        samples=experiment.samples,
+        starts=np.arange(pieces) * samples,
+        samples=samples,
     )
+
+
+def in_a_row(values: np.ndarray) -> np.ndarray:
+    """Return what windows in a row hold, (w, samples, ...), as one course (w * samples, ...)."""
+    return values.reshape(-1, *values.shape[2:])
 
 
 def cut(
     experiment: Experiment, simulator: Simulator, seconds: float, spans: Sequence[Span] = ()
 ) -> Windows:
-    """Cut a record, or some equally long stretches of it, into windows of about a length [s].
+    """Cut a record, or some equally long stretches of it, into windows of about a length [s], or a model's reach.
 
     Parameters
     ----------
@@ -80,6 +90,8 @@ def cut(
     """
     spans = spans or ((0, experiment.samples),)
     longest = min(last - first for first, last in spans)
+    if experiment.reach is not None:
+        seconds = min(seconds, experiment.reach * experiment.dt)
     nx = 2 * simulator.structure.nv
     least = max(6, int(np.ceil(4 * nx / experiment.outputs.shape[1])))
     wanted = seconds / experiment.dt
@@ -116,10 +128,19 @@ def initial_states(model: Model, windows: Windows, *, together: bool = False) ->
     -------
     ndarray (w, nq + nv)
     """
-    experiment, structure, compiled = windows.experiment, model.structure, model.nominal
-    kin = kinematics_of(model, experiment.channels)
     width = max(3, min(15, windows.samples // 4))
-    at = windows.starts
+    return measured_states(model, windows.experiment, windows.starts, width, together=together)
+
+
+def measured_states(
+    model: Model, experiment: Experiment, at: np.ndarray, width: int, *, together: bool = False
+) -> np.ndarray:
+    """Guess the states (k, nq + nv) at some samples (k,) as :func:`initial_states` does.
+
+    ``width`` is the half-width of the local cubics in samples.
+    """
+    structure, compiled = model.structure, model.nominal
+    kin = kinematics_of(model, experiment.channels)
     y, rate = smooth_at(experiment.outputs, experiment.dt, width, at)
     links = [tendon_row(compiled, i) for i in range(compiled.ntendon)]
     stiff = [
@@ -127,7 +148,7 @@ def initial_states(model: Model, windows: Windows, *, together: bool = False) ->
     ]
     soft = np.array(stiff).reshape(-1, structure.nv)
     weight, faint = 1e-3, 1e-6 * np.eye(structure.nv)
-    zeros = np.zeros((len(soft) + structure.nv, len(windows.starts)))
+    zeros = np.zeros((len(soft) + structure.nv, len(at)))
     system = np.vstack([kin.position, weight * soft, faint])
     position = np.linalg.lstsq(system, np.vstack([y.T, zeros]), rcond=None)[0]
     joined = (1.0 / weight if together else weight) * soft
