@@ -111,16 +111,18 @@ def search(
         if any(_contains(group, f) for f in explaining):
             later.append(k)
             continue
-        # What looks like one of them is followed however its first step ends, unless
-        # there is nothing to explain and all look alike.
+        # What looks like one of them is followed however its first step ends, as long as it is on
+        # its way to noise, unless there is nothing to explain and all look alike.
         twin = unexplained and any(_looks_like(group, f, groups) for f in explaining)
         near = limit if explaining and not twin else np.inf
-        fits += _refitted(base, long, kept, group, k, near, _goal(base, fits))
+        goal = min(limit if explaining else np.inf, _goal(base, fits))
+        fits += _refitted(base, long, kept, group, k, near, goal)
     fits = _best_with_blocks(base, _with_siblings(base, fits, scales), scales)
     factor = NOISE_ALONE if compiled(long) else NOISE_LIKE
     if later and fits and not noise_like(base, fits[0], factor):
         report("refitting what contains it", 0.65)
-        fits += [f for k in later for f in _refitted(base, long, kept, groups[k], k)]
+        least = fits[0].fits["long"].squares
+        fits += [f for k in later for f in _refitted(base, long, kept, groups[k], k, limit, least)]
         fits = _best_with_blocks(base, _better_of(fits, base), scales)
     partnered = wanting_partners(base, fits)
     if not partnered:
@@ -162,21 +164,24 @@ def _goal(base: Base, fits: Sequence[Refit], horizon: str = "long") -> float:
 def _cheapest_first(groups: Sequence[Group]) -> list[int]:
     """Return the order of refits: what may make it needless to follow the others comes first.
 
-    That is what would gain most on some ground, unless it contains another effect at its place; then
-    effects without a shape, which cost least.
+    That is what would gain most on some ground, or is contained in such an effect at its place; what
+    contains another comes after it.  Among these as among the rest, effects without a shape cost least.
     """
     if not groups:
         return []
     gains = np.array([g.gains for g in groups])
     leading = np.any(gains == gains.max(axis=0), axis=1)
 
-    def turn(k: int) -> int:
-        own = groups[k]
-        simpler = any(
-            o.place == own.place and o.effect.name in own.effect.supersedes for o in groups
-        )
-        shaped = any(c.shape or c.fixed for c in own.effect.coefficients)
-        return 0 if leading[k] and not simpler else 1 + shaped
+    def within(k: int, o: int) -> bool:
+        inner, outer = groups[k], groups[o]
+        return inner.place == outer.place and inner.effect.name in outer.effect.supersedes
+
+    def turn(k: int) -> tuple[bool, bool]:
+        all_groups = range(len(groups))
+        leads = any(leading[o] for o in all_groups if o == k or within(k, o))
+        simplest = not any(within(o, k) for o in all_groups)
+        shaped = any(c.shape or c.fixed for c in groups[k].effect.coefficients)
+        return not (leads and simplest), shaped
 
     return sorted(range(len(groups)), key=turn)
 

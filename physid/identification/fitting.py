@@ -14,7 +14,7 @@ from physid.identification.accuracy import SHARE_OF_RESULT, as_engine, refine_st
 from physid.identification.estimate import Estimate
 from physid.identification.experiment import Experiment
 from physid.identification.force_balance import Balance, balance, observable, widths
-from physid.identification.problem import Problem, residuals_of
+from physid.identification.problem import Problem, blocks_of
 from physid.identification.staged import (
     LONG,
     fit_growing,
@@ -168,9 +168,7 @@ def confirmed(problem: Problem, estimate: Estimate, error: float) -> Fitted:
     agree = True
     if problem.windows[0].simulator.compiled:
         reference = _on_engine(problem)
-        point = [estimate.theta], [estimate.states]
-        runs = [residuals_of(p, *point)[0] for p in (reference, as_engine(problem))]
-        worst = max(float(np.nanmax(np.abs(a - b))) for a, b in zip(*runs, strict=True))
+        worst = _largest_difference(reference, as_engine(problem), estimate)
         spread = max(float(w.measured().std()) for w in problem.windows) / float(
             problem.sigma.min()
         )
@@ -187,6 +185,12 @@ def confirmed(problem: Problem, estimate: Estimate, error: float) -> Fitted:
         confirmed=True,
         notes=notes,
     )
+
+
+def _largest_difference(one: Problem, other: Problem, at: Estimate) -> float:
+    """Return the largest difference of two problems' residuals, of which none is held whole."""
+    runs = [blocks_of(p, [at.theta], [at.states]) for p in (one, other)]
+    return max(float(np.nanmax(np.abs(a - b))) for (_, [a]), (_, [b]) in zip(*runs, strict=True))
 
 
 def _on_engine(problem: Problem) -> Problem:
