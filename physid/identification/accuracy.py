@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from physid.identification.problem import Problem, residuals_of
+from physid.identification.problem import MOST_AT_ONCE, Problem, residuals_of
 from physid.identification.windows import Windows
 
 FINEST = 16
@@ -44,7 +44,7 @@ def refine_steps(
     coarse = _simulate(problem, theta, states, substeps)
     while True:
         fine = _simulate(problem, theta, states, 2 * substeps)
-        error = _rms([a - b for a, b in zip(coarse, fine, strict=True)])
+        error = _rms(coarse, fine)
         misfit = _rms(fine)
         limit = max(share, share / SHARE * SHARE_OF_MISFIT * misfit)
         if (np.isfinite(error) and error <= limit) or 2 * substeps > most:
@@ -71,7 +71,7 @@ def for_engine(
     while True:
         filed = as_engine(with_substeps(problem, substeps))
         run = residuals_of(filed, [theta], [states])[0]
-        error = _rms([a - b for a, b in zip(exact, run, strict=True)])
+        error = _rms(exact, run)
         if error <= SHARE or 2 * substeps > FINEST_IN_FILES:
             return filed, error
         substeps *= 2
@@ -99,8 +99,18 @@ def _simulate(
     return residuals_of(with_substeps(problem, substeps), [theta], [states])[0]
 
 
-def _rms(residuals: list[np.ndarray]) -> float:
-    """Root mean square of the worst channel; infinite after a divergence."""
-    stacked = np.concatenate([r.reshape(-1, r.shape[2]) for r in residuals])
-    worst = np.sqrt(np.mean(stacked**2, axis=0)).max()
+def _rms(residuals: list[np.ndarray], others: list[np.ndarray] | None = None) -> float:
+    """Root mean square of the worst channel, of a difference if others are given; infinite after a divergence.
+
+    Long records are gone through in parts: nothing as long as they are is made.
+    """
+    rows = [r.reshape(-1, r.shape[2]) for r in residuals]
+    less = None if others is None else [r.reshape(-1, r.shape[2]) for r in others]
+    squares = np.zeros(rows[0].shape[1])
+    for e, own in enumerate(rows):
+        for first in range(0, len(own), MOST_AT_ONCE):
+            part = own[first : first + MOST_AT_ONCE]
+            part = part if less is None else part - less[e][first : first + MOST_AT_ONCE]
+            squares += np.einsum("nk,nk->k", part, part)
+    worst = np.sqrt(squares / sum(map(len, rows))).max()
     return float(worst) if np.isfinite(worst) else float("inf")

@@ -28,4 +28,4 @@ class Estimate:
     @property
     def squares(self) -> float:
         """Sum of squares of the weighted residuals."""
-        return float(sum(np.sum(r * r) for r in self.residuals))
+        return float(sum(np.vdot(r, r) for r in self.residuals))

@@ -16,6 +16,8 @@ LAGS = 24
 """Past samples of each signal in the autoregression."""
 ROWS = 20000
 """Instants predicted, at most."""
+FIRST_LAGS = 2**15
+"""Lags that a correlation is looked for at first; more where it lasts longer."""
 TOLD = 1e-13
 """Eigenvalue of the regressors' inner products, relative to the largest, that rounding leaves."""
 
@@ -98,11 +100,23 @@ def correlation_time(residual: np.ndarray) -> float:
     """
     r = residual - residual.mean()
     n = len(r)
-    power = np.abs(np.fft.rfft(r, 2 * n)) ** 2
-    acf = np.fft.irfft(power)[:n]
-    if acf[0] <= 0:
-        return 1.0
-    acf = acf / acf[0]
-    below = np.flatnonzero(acf < 2.0 / np.sqrt(n))
+    for lags in dict.fromkeys((min(n, FIRST_LAGS), n)):
+        acf = _autocovariances(r, lags)
+        if acf[0] <= 0:
+            return 1.0
+        acf = acf / acf[0]
+        below = np.flatnonzero(acf < 2.0 / np.sqrt(n))
+        if len(below):
+            break
     last = int(below[0]) if len(below) else n // 10
     return float(max(1.0, 1.0 + 2.0 * acf[1 : max(last, 1)].sum()))
+
+
+def _autocovariances(r: np.ndarray, lags: int) -> np.ndarray:
+    """Return the sums r[i] r[i + k] for k below a number of lags, by transforms of stretches as long as these."""
+    found = np.zeros(lags)
+    for first in range(0, len(r), lags):
+        own = np.fft.rfft(r[first : first + lags], 2 * lags)
+        both = np.fft.rfft(r[first : first + 2 * lags], 2 * lags)
+        found += np.fft.irfft(own.conj() * both, 2 * lags)[:lags]
+    return found

@@ -95,7 +95,7 @@ def minimise(
         point = guess(theta, states, residuals)
     rough = guess is not None and point is not None
     fresh, last, at = not rough, None, theta
-    behind: _Point | None = None
+    behind: tuple[np.ndarray, list[np.ndarray], float] | None = None
     while not done and not (
         fresh
         and (iteration >= iterations or _falls_short(passed, chi2, iterations - iteration, goal))
@@ -106,7 +106,9 @@ def minimise(
             except DivergedError:
                 if behind is None:
                     raise
-                theta, states, residuals, chi2 = behind
+                theta, states, chi2 = behind
+                # Rarely needed, and large where records are: not kept.
+                residuals = residuals_of(problem, [theta], [states])[0]
                 break
         if fresh:
             rough, last, at = False, point, theta
@@ -137,7 +139,7 @@ def minimise(
             point = (
                 point.updated(step.shifts, change, residuals, step.residuals) if serves else None
             )
-        behind = theta, states, residuals, chi2
+        behind = theta, states, chi2
         theta, states, residuals, chi2 = step.theta, step.states, step.residuals, step.chi2
         damping = max(damping * (0.1 if fall > 0.5 * step.predicted else 1.0), 1e-9)
     return Estimate(
@@ -228,7 +230,7 @@ def _moved(model: Model, states: np.ndarray, shift: np.ndarray) -> np.ndarray:
 
 
 def _chi2(problem: Problem, theta: np.ndarray, residuals: list[np.ndarray]) -> float:
-    total = float(sum(np.sum(r * r) for r in residuals))
+    total = float(sum(np.vdot(r, r) for r in residuals))
     for p, t in zip(problem.parameters, theta, strict=True):
         if p.prior is not None:
             total += ((t - p.prior[0]) / p.prior[1]) ** 2

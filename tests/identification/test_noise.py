@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
+from physid.identification import noise
 from physid.identification.noise import correlation_time, noise_level
 
 from .rigs import experiment, oscillator_record
@@ -77,3 +78,15 @@ def test_correlation_time_is_at_least_one():
     assert correlation_time(np.zeros(50)) == 1.0
     assert correlation_time(np.ones(50)) == 1.0
     assert correlation_time(np.sin(np.arange(1000) * 0.01)) > 30
+
+
+def test_a_long_record_s_correlation_is_found_in_stretches(monkeypatch):
+    rng = np.random.default_rng(5)
+    steps = rng.standard_normal(6000)
+    series = np.convolve(steps, 0.9 ** np.arange(80))[:6000]
+    whole = correlation_time(series)
+    assert whole == pytest.approx(19.0, rel=0.4)
+    monkeypatch.setattr(noise, "FIRST_LAGS", 256)
+    assert correlation_time(series) == pytest.approx(whole, rel=1e-9)
+    monkeypatch.setattr(noise, "FIRST_LAGS", 8)  # it lasts longer than that
+    assert correlation_time(series) == pytest.approx(whole, rel=1e-9)
