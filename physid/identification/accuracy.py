@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from physid.identification.problem import MOST_AT_ONCE, Problem, residuals_of
+from physid.identification.problem import Problem, blocks_of, residuals_of
 from physid.identification.windows import Windows
 
 FINEST = 16
@@ -41,15 +41,15 @@ def refine_steps(
         The problem with that step, and the integration error relative to the noise.
     """
     substeps, most = max(at_least, 1), most or FINEST
-    coarse = _simulate(problem, theta, states, substeps)
+    run = residuals_of(with_substeps(problem, substeps), [theta], [states])[0]
     while True:
-        fine = _simulate(problem, theta, states, 2 * substeps)
-        error = _rms(coarse, fine)
-        misfit = _rms(fine)
+        # In place: the coarser run of a long record is not kept beside the finer one.
+        error = _overwritten(run, with_substeps(problem, 2 * substeps), theta, states)
+        misfit = _rms(run)
         limit = max(share, share / SHARE * SHARE_OF_MISFIT * misfit)
         if (np.isfinite(error) and error <= limit) or 2 * substeps > most:
             return with_substeps(problem, substeps), float(error)
-        substeps, coarse = 2 * substeps, fine
+        substeps *= 2
 
 
 def for_engine(
@@ -70,8 +70,7 @@ def for_engine(
     substeps = problem.windows[0].simulator.substeps
     while True:
         filed = as_engine(with_substeps(problem, substeps))
-        run = residuals_of(filed, [theta], [states])[0]
-        error = _rms(exact, run)
+        error = _overwritten([r.copy() for r in exact], filed, theta, states)
         if error <= SHARE or 2 * substeps > FINEST_IN_FILES:
             return filed, error
         substeps *= 2
@@ -93,24 +92,25 @@ def _finer(windows: Windows, substeps: int) -> Windows:
     return replace(windows, simulator=windows.simulator.with_substeps(substeps))
 
 
-def _simulate(
-    problem: Problem, theta: np.ndarray, states: list[np.ndarray], substeps: int
-) -> list[np.ndarray]:
-    return residuals_of(with_substeps(problem, substeps), [theta], [states])[0]
+def _overwritten(
+    run: list[np.ndarray], problem: Problem, theta: np.ndarray, states: list[np.ndarray]
+) -> float:
+    """Put a problem's residuals in the place of another run's; return the rms difference of the worst channel."""
+    squares = np.zeros(len(problem.sigma))
+    for block, (found,) in blocks_of(problem, [theta], [states]):
+        known = run[block.experiment][block.windows, block.samples]
+        known -= found
+        squares += np.einsum("wsk,wsk->k", known, known)
+        known[...] = found
+    return _root(squares, run)
 
 
-def _rms(residuals: list[np.ndarray], others: list[np.ndarray] | None = None) -> float:
-    """Root mean square of the worst channel, of a difference if others are given; infinite after a divergence.
+def _rms(run: list[np.ndarray]) -> float:
+    """Return the root mean square of the worst channel; infinite after a divergence."""
+    return _root(np.sum([np.einsum("wsk,wsk->k", r, r) for r in run], axis=0), run)
 
-    Long records are gone through in parts: nothing as long as they are is made.
-    """
-    rows = [r.reshape(-1, r.shape[2]) for r in residuals]
-    less = None if others is None else [r.reshape(-1, r.shape[2]) for r in others]
-    squares = np.zeros(rows[0].shape[1])
-    for e, own in enumerate(rows):
-        for first in range(0, len(own), MOST_AT_ONCE):
-            part = own[first : first + MOST_AT_ONCE]
-            part = part if less is None else part - less[e][first : first + MOST_AT_ONCE]
-            squares += np.einsum("nk,nk->k", part, part)
-    worst = np.sqrt(squares / sum(map(len, rows))).max()
+
+def _root(squares: np.ndarray, run: list[np.ndarray]) -> float:
+    """Return the root of the largest mean of squares (ny,) summed over a run."""
+    worst = np.sqrt(squares / sum(r.shape[0] * r.shape[1] for r in run)).max()
     return float(worst) if np.isfinite(worst) else float("inf")

@@ -36,9 +36,11 @@ ENOUGH = 5000
 SETTLED, SETTLED_ON_ENGINE = 1.15, 1.5
 """A start whose mean squares on long windows are below this, relative to the noise's, is near enough.
 The second holds where MuJoCo simulates, whose friction leaves more than noise at any step."""
-NEAR, FAR = 30.0, 3e3
-"""A few steps are tried at once from a start below the first, times that, and from the best below the
-second."""
+NEAR, AT_ONCE, FAR = 30.0, 1e3, 3e3
+"""No other start is looked for below the first, times that; a few steps are tried from the better of the first
+two starts below the second, and from the best of all below the third."""
+FIRST_STARTS = 2
+"""Those starts."""
 POINTS_ON_ENGINE = 300
 """Instants of the force balance where every one of them is asked of MuJoCo."""
 OUTSTANDING = 5.0
@@ -207,13 +209,22 @@ def _quick_start(
         costs.append(judge.roughly(theta))
         if costs[-1] < NEAR * settled:
             break
+        if len(costs) == FIRST_STARTS and compiled(problem) and min(costs) < AT_ONCE * settled:
+            # What two widths of the force balance leave alike is the model's, and a few steps take it.
+            near = judge.polished(found[int(np.argmin(costs))], settled)
+            if near is not None and near.chi2 < settled:
+                return _beginning(near), near.theta
     if min(costs) < FAR * settled:
         near = judge.polished(found[int(np.argmin(costs))], settled)
         if near is not None and near.chi2 < settled:
-            # The first window of every record starts where the record does.
-            return Start(near.theta, [x[:1] for x in near.states]), near.theta
+            return _beginning(near), near.theta
         return None, None if near is None else near.theta
     return None, None
+
+
+def _beginning(near: Estimate) -> Start:
+    """Return a fit of windows as a start: the first window of every record starts where the record does."""
+    return Start(near.theta, [x[:1] for x in near.states])
 
 
 def _evenly(problem: Problem, most: int) -> Problem:
