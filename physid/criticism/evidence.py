@@ -108,15 +108,17 @@ def _compare(bench: Ground, candidate: Refit, horizon: str) -> tuple[Estimate, f
     frozen = replace(candidate.problem, windows=bench.problem.windows, model=model, parameters=())
     after, before, channels = states_only(frozen), bench.estimate, len(bench.problem.sigma)
     residual, basis, point = bench.remaining, bench.basis, bench.point
+    without_states = point.without_states
     if len(state_indices(model)) > len(state_indices(bench.problem.model)):
-        # What a memory's own initial states take from the noise is no evidence for it.
+        # What a memory's own initial states take from the noise is no evidence for it; one projection
+        # serves all, or what two of them leave of a large residual would pass for noise.
         without_states = linearise(
             frozen, np.zeros(0), after.states, after.residuals
         ).without_states
         residual = without_states(before.residuals)
         columns = [without_states(_like(c, before.residuals)) for c in basis.T]
         basis = orthonormal(np.reshape(columns, (-1, len(residual))).T)
-    difference = point.without_states(
+    difference = without_states(
         [a - b for a, b in zip(before.residuals, after.residuals, strict=True)]
     )
     if float(np.linalg.norm(difference - basis @ (basis.T @ difference))) < NOTHING:

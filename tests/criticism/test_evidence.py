@@ -5,6 +5,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import kstest, norm
 
+import physid
 from physid.criticism.evidence import LARGEST, combined, t_value
 
 INSTANTS, CHANNELS = 3000, 2
@@ -75,3 +76,13 @@ def test_p_values_that_depend_on_each_other_are_combined():
     assert combined([1e-200, 1.0, 0.5]) == pytest.approx(3e-200)
     assert combined([0.3, 0.3]) == pytest.approx(0.3)
     assert combined([1.0, 1.0]) == pytest.approx(LARGEST)
+
+
+def test_a_memory_that_explains_a_large_residual_is_no_chance(slider, make_run):
+    """Its own initial states are projected out of everything alike."""
+    run = make_run("hysteresis@rail:force=3,displacement=0.02,exponent=1", seed=3)
+    found = physid.diagnose(slider, [run]).as_dict()
+    sites = [[(e["effect"], e["location"]) for e in c["effects"]] for c in found["candidates"]]
+    best = found["candidates"][sites.index([("hysteresis", "rail")])]
+    assert best["explained"] > 0.9
+    assert best["p_value"] < 1e-50
