@@ -221,8 +221,10 @@ def _step(
     return Step(added=added, fitted=fitted, tested=tested, p_value=p_value)
 
 
-def _tested(model: Model, fitted: Problem, tests: Sequence[Any]) -> tuple[Problem, Estimate] | None:
-    """Simulate test records with every parameter frozen; only initial states are estimated.
+def _tested(
+    model: Model, fitted: Problem, tests: Sequence[Any], states: list[np.ndarray] | None = None
+) -> tuple[Problem, Estimate] | None:
+    """Simulate test records with every parameter frozen; only initial states are estimated, from some if known.
 
     They decide nothing: a model that diverges on them is shown without them.
     """
@@ -232,7 +234,7 @@ def _tested(model: Model, fitted: Problem, tests: Sequence[Any]) -> tuple[Proble
     windows = tuple(whole(e, replace(simulator, dt=e.dt)) for e in tests)
     problem = Problem(model=model, parameters=(), windows=windows, sigma=fitted.sigma)
     try:
-        return problem, states_only(problem)
+        return problem, states_only(problem, states)
     except DivergedError:
         return None
 
@@ -301,7 +303,7 @@ def _from_file(
     )
     try:
         estimate = minimise(
-            problem, np.zeros(0), fitted.estimate.states, iterations=20, tolerance=1e-6
+            problem, np.zeros(0), fitted.estimate.states, iterations=20, tolerance=1e-5
         )
     except DivergedError:
         return step, ["The written file's simulation diverges; the figures are the fit's."]
@@ -315,7 +317,8 @@ def _from_file(
         fitted,
         estimate=replace(fitted.estimate, states=estimate.states, residuals=estimate.residuals),
     )
-    tested = _tested(model, problem, tests)
+    known = None if step.tested is None else step.tested[1].states
+    tested = _tested(model, problem, tests, known)
     if tests and tested is None:
         notes.append("The refined model diverges along the test records; their error is not shown.")
     return replace(step, fitted=kept, tested=tested), notes

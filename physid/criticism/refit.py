@@ -22,6 +22,8 @@ from physid.plant.structure import Place
 
 WELL_UNDER_WAY = 0.1
 """Share of the base's squares below which a fit that has not ended yet goes on."""
+FAR_OFF = 2.0
+"""Times its goal's mean squares on long windows that a fit may leave on short ones to be followed."""
 ROOM = 0.98
 """Largest share of the squares that a candidate may leave to have moved the model's own parameters: where
 these are as they were, no shape is seen that was not seen before."""
@@ -323,8 +325,11 @@ def _fit_horizons(
     brief = trial.with_windows(base.problems["short"].windows)
     long = trial.with_windows(base.problems["long"].windows)
     try:
-        # A fit that ends worse than the model it contains leads nowhere.
-        short_fit = _fitted(base, brief, start, "short", base.fits["short"].squares)
+        # A fit that ends worse than the model it contains leads nowhere; nor does one that is far from its goal
+        # already on short windows, where errors have not grown.
+        noise = {h: base.problems[h].measurements() for h in ("short", "long")}
+        hoped = FAR_OFF * goal * noise["short"] / noise["long"]
+        short_fit = _fitted(base, brief, start, "short", min(base.fits["short"].squares, hoped))
         long_fit = _fitted(base, long, short_fit.theta, "long", goal)
         if long_fit.chi2 > 0.9 * base.fits["long"].chi2:
             other = _fitted(base, long, start, "long", goal)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 
@@ -118,8 +119,7 @@ def search(
         goal = min(limit if explaining else np.inf, _goal(base, fits))
         fits += _refitted(base, long, kept, group, k, near, goal)
     fits = _best_with_blocks(base, _with_siblings(base, fits, scales), scales)
-    factor = NOISE_ALONE if compiled(long) else NOISE_LIKE
-    if later and fits and not noise_like(base, fits[0], factor):
+    if later and fits and not _leaves_noise(base, fits[0]):
         report("refitting what contains it", 0.65)
         least = fits[0].fits["long"].squares
         fits += [f for k in later for f in _refitted(base, long, kept, groups[k], k, limit, least)]
@@ -136,6 +136,17 @@ def search(
         return fits
     alone = without_partner(base, fits[0], scales)
     return _best_with_blocks(base, _better_of([*fits, *alone], base), scales)
+
+
+def _leaves_noise(base: Base, fit: Refit) -> bool:
+    """Say whether a fit leaves nothing for an effect that contains it.
+
+    Where MuJoCo simulates, its friction leaves more than noise, and adds up over whole stretches.
+    """
+    if compiled(base.problems["long"]):
+        return noise_like(base, fit, NOISE_ALONE)
+    on_windows = {h: e for h, e in fit.fits.items() if h != "block"}
+    return noise_like(base, replace(fit, fits=on_windows))
 
 
 def _refitted(

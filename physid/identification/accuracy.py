@@ -11,6 +11,8 @@ from physid.identification.windows import Windows
 
 FINEST = 16
 """Most steps per sample."""
+BEGUN = 4
+"""Part of a piece over which errors do not grow much: the fourth root of what they grow over all of it."""
 FINEST_IN_FILES = 64
 """... of a written model, whose friction loss tends to Coulomb's law only with the step."""
 SHARE = 0.1
@@ -33,7 +35,8 @@ def refine_steps(
 
     Halves the step until halving it once more changes the simulated outputs by less than ``share`` of
     the noise (or a hundredth of the misfit), or there are ``most`` steps a sample.  A run that diverges is
-    not accurate, however far from the record that is.
+    not accurate, however far from the record that is.  Of pieces over which a model runs away the beginnings
+    are compared: what has grown a hundred times by their ends, the initial states take back.
 
     Returns
     -------
@@ -41,10 +44,11 @@ def refine_steps(
         The problem with that step, and the integration error relative to the noise.
     """
     substeps, most = max(at_least, 1), most or FINEST
-    run = residuals_of(with_substeps(problem, substeps), [theta], [states])[0]
+    begun = _begun(problem)
+    run = residuals_of(with_substeps(begun, substeps), [theta], [states])[0]
     while True:
         # In place: the coarser run of a long record is not kept beside the finer one.
-        error = _overwritten(run, with_substeps(problem, 2 * substeps), theta, states)
+        error = _overwritten(run, with_substeps(begun, 2 * substeps), theta, states)
         misfit = _rms(run)
         limit = max(share, share / SHARE * SHARE_OF_MISFIT * misfit)
         if (np.isfinite(error) and error <= limit) or 2 * substeps > most:
@@ -59,21 +63,35 @@ def for_engine(
 
     The compiled back end has Coulomb's law itself where the engine has a constraint that tends to it;
     the step is halved until the two differ by less than a tenth of the noise, or to
-    :data:`FINEST_IN_FILES` steps a sample.
+    :data:`FINEST_IN_FILES` steps a sample; to :data:`FINEST` where the initial states of many pieces take the
+    difference.
 
     Returns
     -------
     (Problem, float)
         The problem with the engine's friction at that step, and the difference relative to the noise.
     """
-    exact = residuals_of(problem, [theta], [states])[0]
+    begun = _begun(problem)
+    exact = residuals_of(begun, [theta], [states])[0]
     substeps = problem.windows[0].simulator.substeps
+    in_pieces = any(w.experiment.reach is not None for w in problem.windows)
+    most = FINEST if in_pieces else FINEST_IN_FILES
     while True:
         filed = as_engine(with_substeps(problem, substeps))
-        error = _overwritten([r.copy() for r in exact], filed, theta, states)
-        if error <= SHARE or 2 * substeps > FINEST_IN_FILES:
+        error = _overwritten([r.copy() for r in exact], _begun(filed), theta, states)
+        if error <= SHARE or 2 * substeps > most:
             return filed, error
         substeps *= 2
+
+
+def _begun(problem: Problem) -> Problem:
+    """Return the problem on the beginnings of pieces over which its model runs away, if it does."""
+    return problem.with_windows(
+        [
+            w if w.experiment.reach is None else replace(w, samples=max(w.samples // BEGUN, 2))
+            for w in problem.windows
+        ]
+    )
 
 
 def as_engine(problem: Problem) -> Problem:

@@ -17,6 +17,7 @@ from physid.identification.force_balance import Balance, balance, observable, wi
 from physid.identification.problem import Problem, blocks_of
 from physid.identification.staged import (
     LONG,
+    compiled,
     fit_growing,
     fit_whole,
     fit_windows,
@@ -97,12 +98,12 @@ def _from_windows(study: Study) -> Estimate:
     """Fit long windows, then whole records; through growing ones where these are fitted far worse.
 
     Whole records that are fitted to hardly more than noise from the start need no windows; where windows
-    diverge, the start's fit is the only one.
+    diverge, the start's fit is the only one.  What MuJoCo's friction leaves adds up over a record.
     """
-    first = None
+    first, enough = None, settled_squares(study.problem)
     with suppress(NumericsError):
         first = fit_whole(on_whole_records(study.problem), study.theta, study.states)
-        if first.squares < settled_squares(study.problem):
+        if first.squares < (enough if compiled(study.problem) else FAR_WORSE * enough):
             return first
     try:
         return _through_windows(study)

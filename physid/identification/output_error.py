@@ -9,6 +9,7 @@ Steps are Levenberg-Marquardt (More 1978) with bounds kept by a bounded least-sq
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +33,8 @@ CLOSE = 0.02
 SERVES = 0.7
 """Least share of the predicted fall that a step must bring for its columns to serve again."""
 Guess = Callable[[np.ndarray, list[np.ndarray], list[np.ndarray]], Reduced | None]
+ROUNDS, LITTLE = 2, 1e-2
+"""Steps of windows by themselves, and what is left of chi2 to gain that is worth another."""
 SETTLING = 3
 """Linearisations before a fit's pace tells anything: the first steps are cut short or damped."""
 _Point = tuple[np.ndarray, list[np.ndarray], list[np.ndarray], float]
@@ -51,6 +54,7 @@ def minimise(
     guess: Guess | None = None,
     keep: bool = False,
     goal: float = np.inf,
+    apart: bool = False,
 ) -> Estimate:
     """Fit parameters and initial states.
 
@@ -76,6 +80,9 @@ def minimise(
     goal : float
         Stop where chi2 would not come below this by the last linearisation, were every one that is left
         to gain what the one before it gained.
+    apart : bool
+        Let every window find its own way back at parameters whose step raises chi2, before that step is shortened:
+        behind frictions the windows' states go another way than their columns say.
 
     Returns
     -------
@@ -114,8 +121,9 @@ def minimise(
             rough, last, at = False, point, theta
             passed.append(chi2)
             iteration = len(passed)
+        start = theta, states, residuals, chi2
         step, damping = _descend(
-            problem, point, (theta, states, chi2), damping, tolerance, once=not fresh
+            problem, point, start, damping, tolerance, once=not fresh, apart=apart
         )
         if step is None:
             done, fresh = fresh, True
@@ -187,14 +195,18 @@ class _Step(NamedTuple):
 def _descend(
     problem: Problem,
     point: Reduced,
-    start: tuple[np.ndarray, list[np.ndarray], float],
+    start: _Point,
     damping: float,
     tolerance: float,
     *,
     once: bool,
+    apart: bool,
 ) -> tuple[_Step | None, float]:
     """Try ever shorter and more damped steps until one lowers chi2; return it and the damping."""
-    theta, states, chi2 = start
+    theta, states, residuals, chi2 = start
+    if not len(theta):
+        shares = SHARES[:1] if once else SHARES[1:]
+        return _descend_apart(problem, point, states, residuals, tolerance * chi2, shares), damping
     limits = [p.lower for p in problem.parameters], [p.upper for p in problem.parameters]
     for k, share in enumerate(SHARES):
         change, predicted = _step(problem, point, theta, damping)
@@ -203,13 +215,79 @@ def _descend(
         target = np.clip(theta + share * change, *limits)
         tried = residuals_of(problem, [target], [moved])[0]
         value = _chi2(problem, target, tried)
+        lost = apart and chi2 <= value < np.inf
+        if lost:
+            moved, tried = _led_back(problem, target, moved, tried)
+            value = _chi2(problem, target, tried)
         if np.isfinite(value) and value < chi2:
-            full = k == 0
+            full = k == 0 and not lost
             return _Step(target, moved, tried, value, shifts, predicted, full), damping
         if predicted < tolerance * chi2 or once:
             break
         damping = max(10 * damping, 1e-3) if share == 1.0 else damping
     return None, damping
+
+
+def _led_back(
+    problem: Problem, theta: np.ndarray, states: list[np.ndarray], residuals: list[np.ndarray]
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Return the windows' states and residuals after some steps of their own at given parameters."""
+    frozen = replace(problem, model=problem.at(theta), parameters=())
+    for _ in range(ROUNDS):
+        little = LITTLE * _chi2(frozen, np.zeros(0), residuals)
+        try:
+            point = reduce(frozen, np.zeros(0), states, residuals)
+        except DivergedError:
+            break
+        step = _descend_apart(frozen, point, states, residuals, little, SHARES[1:])
+        if step is None:
+            break
+        states, residuals = step.states, step.residuals
+    return states, residuals
+
+
+def _descend_apart(
+    problem: Problem,
+    point: Reduced,
+    states: list[np.ndarray],
+    residuals: list[np.ndarray],
+    little: float,
+    shares: Sequence[float],
+) -> _Step | None:
+    """Step where initial states alone are free: each window as far as its own squares fall.
+
+    Windows share nothing then, and one behind a friction or a gap must not shorten the steps of all.
+    What falls less than ``little`` by the linearisation, in squares over all windows, is not looked for.
+    """
+    states, residuals = [x.copy() for x in states], [r.copy() for r in residuals]
+    steps = point.state_steps(np.zeros(0))
+    taken = [np.zeros_like(d) for d in steps]
+    promised = [np.sum(t**2, axis=1) for t in point.targets]
+    count = sum(map(len, states))
+    waiting = [np.flatnonzero(p > little / count) for p in promised]
+    for share in shares:
+        open_ones = [e for e, rows in enumerate(waiting) if len(rows)]
+        if not open_ones:
+            break
+        few = problem.with_windows([problem.windows[e].take(waiting[e]) for e in open_ones])
+        moved = [
+            _moved(problem.model, states[e][waiting[e]], share * steps[e][waiting[e]])
+            for e in open_ones
+        ]
+        tried = residuals_of(few, [np.zeros(0)], [moved])[0]
+        for e, there, found in zip(open_ones, moved, tried, strict=True):
+            rows = waiting[e]
+            before, after = (np.einsum("wsk,wsk->w", r, r) for r in (residuals[e][rows], found))
+            better = after < before
+            states[e][rows[better]] = there[better]
+            residuals[e][rows[better]] = found[better]
+            taken[e][rows[better]] = share * steps[e][rows[better]]
+            waiting[e] = rows[~better]
+    if not any(np.any(t) for t in taken):
+        return None
+    chi2 = _chi2(problem, np.zeros(0), residuals)
+    full = not any(map(len, waiting))
+    return _Step(np.zeros(0), states, residuals, chi2, taken, point.fall, full)
 
 
 def _close(problem: Problem, theta: np.ndarray, other: np.ndarray) -> bool:
