@@ -33,7 +33,7 @@ CLOSE = 0.02
 SERVES = 0.7
 """Least share of the predicted fall that a step must bring for its columns to serve again."""
 Guess = Callable[[np.ndarray, list[np.ndarray], list[np.ndarray]], Reduced | None]
-ROUNDS, LITTLE = 2, 1e-2
+ROUNDS, LITTLE = 8, 1e-3
 """Steps of windows by themselves, and what is left of chi2 to gain that is worth another."""
 SETTLING = 3
 """Linearisations before a fit's pace tells anything: the first steps are cut short or damped."""

@@ -45,8 +45,6 @@ POINTS_ON_ENGINE = 300
 """Instants of the force balance where every one of them is asked of MuJoCo."""
 OUTSTANDING = 5.0
 """Times the usual mean squares of windows, or the noise's, from which a window starts anew."""
-NUDGES = (0.0, 0.01, -0.01)
-"""Shares by which all parameters are moved before a fit of pieces starts again."""
 POLISH = 5
 """Those steps, at most."""
 Progress = Callable[[str, float], None]
@@ -330,33 +328,12 @@ def _fit_pieces(
 ) -> Estimate:
     """Fit pieces of records that run away, their initial states alone first.
 
-    Alone each is followed from its beginning on, and none holds up another.  While more than noise is left the fit
-    starts again next to where it ended: behind frictions pieces stay in minima of their own, which a
-    step of the parameters shakes them out of.
+    Alone each is followed from its beginning on, and none holds up another.
     """
-    found: Estimate | None = None
-    for nudge in NUDGES:
-        start = np.clip(
-            theta * (1.0 + nudge),
-            [p.lower for p in problem.parameters],
-            [p.upper for p in problem.parameters],
-        )
-        alone = states_only(replace(problem, model=problem.at(start)), states)
-        other = minimise(
-            problem,
-            start,
-            alone.states,
-            iterations=40,
-            tolerance=tolerance,
-            keep=True,
-            apart=True,
-        )
-        found = other if found is None else min(found, other, key=lambda e: e.chi2)
-        if found.squares < settled_squares(problem):
-            break
-        theta, states = found.theta, None
-    assert found is not None
-    return found
+    alone = states_only(replace(problem, model=problem.at(theta)), states)
+    return minimise(
+        problem, theta, alone.states, iterations=40, tolerance=tolerance, keep=True, apart=True
+    )
 
 
 def fit_growing(problem: Problem, theta: np.ndarray) -> Estimate:
