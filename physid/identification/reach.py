@@ -36,7 +36,7 @@ def within_reach(model: Model, experiment: Experiment) -> Experiment:
     Parameters
     ----------
     model : Model
-        At values that need not be right: errors of a third in the rate matter little.
+        At values that need not be right: a rate wrong by a third makes errors grow 20 to 460 times over a piece.
     experiment : Experiment
     """
     rate = growth_rate(model, experiment)

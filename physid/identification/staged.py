@@ -210,7 +210,7 @@ def _quick_start(
         if costs[-1] < NEAR * settled:
             break
         if len(costs) == FIRST_STARTS and compiled(problem) and min(costs) < AT_ONCE * settled:
-            # What two widths of the force balance leave alike is the model's, and a few steps take it.
+            # More widths of the force balance cost more than a few steps, which often end the search.
             near = judge.polished(found[int(np.argmin(costs))], settled)
             if near is not None and near.chi2 < settled:
                 return _beginning(near), near.theta
