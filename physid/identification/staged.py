@@ -204,6 +204,7 @@ def _quick_start(
     settled, judge = settled_squares(long), _Judge(long)
     found: list[np.ndarray] = []
     costs: list[float] = []
+    polished: dict[int, Estimate | None] = {}
     for theta in chain(_from_force_balance(problem), [problem.start(), *extra]):
         found.append(theta)
         costs.append(judge.roughly(theta))
@@ -211,11 +212,13 @@ def _quick_start(
             break
         if len(costs) == FIRST_STARTS and compiled(problem) and min(costs) < AT_ONCE * settled:
             # More widths of the force balance cost more than a few steps, which often end the search.
-            near = judge.polished(found[int(np.argmin(costs))], settled)
+            best = int(np.argmin(costs))
+            near = polished[best] = judge.polished(found[best], settled)
             if near is not None and near.chi2 < settled:
                 return _beginning(near), near.theta
     if min(costs) < FAR * settled:
-        near = judge.polished(found[int(np.argmin(costs))], settled)
+        best = int(np.argmin(costs))
+        near = polished[best] if best in polished else judge.polished(found[best], settled)
         if near is not None and near.chi2 < settled:
             return _beginning(near), near.theta
         return None, None if near is None else near.theta
