@@ -19,7 +19,7 @@ from physid.criticism.pictures import diagnosis_curves
 from physid.criticism.symptoms import symptoms_of
 from physid.errors import NumericsError
 from physid.identification.fitting import Fitted, fit_study
-from physid.identification.staged import compiled
+from physid.identification.staged import quick
 from physid.identification.study import Options, Study, as_model, prepare
 from physid.plant.model import Model
 from physid.record import Record
@@ -84,7 +84,7 @@ def _base_fit(study: Study, found: Diagnosis) -> Fitted:
     Where MuJoCo takes its time and something is missing anyhow, from where whole stretches led: the
     fit is only what the model with the effect is held to.
     """
-    slow = not compiled(study.problem)
+    slow = not quick(study.problem)
     if slow and found.verdict == "effect_missing" and "block" in found.base.fits:
         with suppress(NumericsError):
             near = replace(study, theta=found.base.fits["block"].theta)

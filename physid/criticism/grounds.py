@@ -21,7 +21,7 @@ from physid.identification.nearby import nearby
 from physid.identification.preselection import preselected
 from physid.identification.problem import Problem
 from physid.identification.screening import Scored, screen, shortlist
-from physid.identification.staged import compiled, states_only
+from physid.identification.staged import quick, states_only
 from physid.identification.study import Study
 from physid.plant.effect import Effect, Scales
 from physid.plant.structure import Place
@@ -85,7 +85,7 @@ def grounds_of(
     problems: Mapping[str, Problem], fits: Mapping[str, Estimate]
 ) -> list[tuple[Problem, Estimate]]:
     """Return where a model is held to its candidates: every horizon, or the long one in MuJoCo."""
-    return [(problems[h], fits[h]) for h in fits if h == "long" or compiled(problems[h])]
+    return [(problems[h], fits[h]) for h in fits if h == "long" or quick(problems[h])]
 
 
 def grounds_for(
@@ -104,7 +104,7 @@ def grounds_for(
     if unexplained:
         with suppress(NumericsError):
             grounds.insert(0, (long, undistorted(study, long)))
-    return grounds if compiled(long) else grounds[:1]
+    return grounds if quick(long) else grounds[:1]
 
 
 def screened(
@@ -120,7 +120,7 @@ def screened(
     balance chooses first.
     """
     problem, fit = grounds[0]
-    if not compiled(problem) and nearby(problem, fit.theta, fit.states) is None:
+    if not quick(problem) and nearby(problem, fit.theta, fit.states) is None:
         candidates = preselected(problem, fit, candidates)
     screens = []
     for problem, fit in grounds:

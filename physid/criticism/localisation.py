@@ -19,6 +19,7 @@ from physid.identification.linearisation import linearise, project_out
 from physid.identification.problem import Problem, residuals_of, with_activations
 from physid.identification.screening import thinned_fit
 from physid.identification.sizes import scales_of
+from physid.identification.staged import quick
 from physid.identification.windows import in_a_row
 from physid.plant.model import Model
 from physid.plant.structure import Place
@@ -92,9 +93,9 @@ def latent_forces(problem: Problem, estimate: Estimate) -> list[Latent]:
 
 
 def pulses_of(problem: Problem) -> int:
-    """Return the number of pulses per window: fewer where the engine must simulate each."""
+    """Return the number of pulses per window: fewer where each is dear."""
     most = min(PULSES, MOST_COLUMNS // len(problem.model.structure.joints))
-    most = most if all(w.simulator.compiled for w in problem.windows) else most // 2
+    most = most if quick(problem) else most // 2
     return max(1, min(most, *(w.samples // 4 for w in problem.windows)))
 
 

@@ -12,7 +12,7 @@ from physid.criticism.limits import Limits
 from physid.criticism.proposal import LEVELS, Plan, Proposal, proposals, within
 from physid.criticism.separation import Apart, Rival, apart, planned, probability
 from physid.errors import NumericsError
-from physid.identification.staged import compiled
+from physid.identification.staged import quick
 
 SAMPLES, SAMPLES_ON_ENGINE = 20000, 3000
 """Most samples of an experiment whose duration the user leaves open."""
@@ -59,8 +59,8 @@ class Task:
 
     @property
     def fast(self) -> bool:
-        """Whether the compiled back end simulates the rivals."""
-        return compiled(self.rivals[0].problem)
+        """Whether runs of the rivals are cheap."""
+        return quick(self.rivals[0].problem)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,7 +93,7 @@ class Found:
 def longest(rivals: Sequence[Rival]) -> float:
     """Return the duration of an experiment where the user leaves it open [s]."""
     problem = rivals[0].problem
-    most = SAMPLES if compiled(problem) else SAMPLES_ON_ENGINE
+    most = SAMPLES if quick(problem) else SAMPLES_ON_ENGINE
     experiments = [w.experiment for w in problem.windows]
     samples = min(max(round(e.samples * e.dt / experiments[0].dt) for e in experiments), most)
     return samples * experiments[0].dt

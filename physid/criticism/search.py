@@ -33,6 +33,7 @@ from physid.identification.staged import (
     Spans,
     compiled,
     fit_windows,
+    quick,
     thinned,
     windowed,
 )
@@ -95,7 +96,7 @@ def search(
     # Where a lead or a partner may sit, its size is known as well.
     scales = scales_of(long, base.fits["long"]) | {g.place: g.scales for g in groups}
     fits = led(base, leads, scales)
-    rival = RIVAL if compiled(long) else RIVAL_ON_ENGINE
+    rival = RIVAL if quick(long) else RIVAL_ON_ENGINE
     noise = float(long.measurements())
     halfway = min(0.5 * (worst + noise), worst - LEAST_GAIN)
     limit = min(max(rival * noise, NEARLY * worst), halfway)
@@ -233,7 +234,7 @@ def base_of(study: Study) -> Base:
         theta = fit_windows(problems["short"], study.theta).theta
         problems["long"], long = _followed(study, problems["long"], theta)
     fits = {"short": fit_windows(problems["short"], long.theta), "long": long}
-    if compiled(problems["long"]):
+    if quick(problems["long"]):
         again = fit_windows(problems["long"], fits["short"].theta)
         fits["long"] = min(long, again, key=lambda e: e.chi2)
     if _much_longer(problems["block"], problems["long"]):

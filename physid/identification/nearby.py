@@ -76,7 +76,7 @@ def nearby(problem: Problem, theta: np.ndarray, states: Sequence[np.ndarray]) ->
     plants: dict[float, Plant] = {}
     for windows, x in zip(problem.windows, states, strict=True):
         simulator = windows.simulator
-        if simulator.compiled or len(windows.starts) * windows.samples > MOST:
+        if simulator.quick or len(windows.starts) * windows.samples > MOST:
             return None
         if simulator.step not in plants:
             plants[simulator.step] = problem.plant(theta, simulator.step)

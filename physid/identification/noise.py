@@ -73,7 +73,8 @@ def _by_prediction(experiment: Experiment) -> np.ndarray:
         error = target - regressors @ weights
         # Prediction from noisy samples carries their noise too: sigma^2 (1 + |a|^2) at most.
         own = (weights / scale)[:LAGS]
-        found.append(np.sqrt(np.mean(error**2) / (1.0 + float(own @ own))))
+        left = len(target) - np.count_nonzero(kept)  # what the weights have fitted is no error
+        found.append(np.sqrt(np.sum(error**2) / left / (1.0 + float(own @ own))))
     return np.array(found)
 
 

@@ -35,6 +35,10 @@ SERVES = 0.7
 Guess = Callable[[np.ndarray, list[np.ndarray], list[np.ndarray]], Reduced | None]
 ROUNDS, LITTLE = 8, 1e-3
 """Steps of windows by themselves, and what is left of chi2 to gain that is worth another."""
+KINKS_ON_ENGINE, KINKS = 1e-2, 0.5
+"""Share of chi2 that a last step may promise where it must be shortened and brings less than half of it:
+what is left are kinks, not a slope.  Where MuJoCo simulates, as its friction changes from step to step;
+elsewhere per parameter and measurement, which is less than noise moves parameters by."""
 SETTLING = 3
 """Linearisations before a fit's pace tells anything: the first steps are cut short or damped."""
 _Point = tuple[np.ndarray, list[np.ndarray], list[np.ndarray], float]
@@ -95,7 +99,7 @@ def minimise(
         of the bounds, it ends the fit at the point before.
     """
     theta, states, residuals, chi2 = _begun(problem, theta, states)
-    damping, done, gained = 1e-6, False, 0.0
+    damping, done, gained, kinks = 1e-6, False, 0.0, _kinks(problem)
     iteration = 0
     passed: list[float] = []
     if guess is not None:
@@ -136,6 +140,7 @@ def minimise(
         foretold = before > 0.0 and step.full
         expected = fall * min(max(fall / before, LEAST_SHARE), 1.0) if foretold else fall
         done = expected < tolerance * chi2 or step.chi2 < enough
+        done = done or (fresh and _at_kinks(step, fall, kinks * chi2))
         # Old columns end where they, not those of the minimum, are orthogonal to the residual.
         serves = step.full and bool(point.rows) and fall > SERVES * step.predicted
         far = rough or not _close(problem, step.theta, at)
@@ -159,6 +164,18 @@ def minimise(
         converged=done,
         point=last if keep and done and _close(problem, theta, at) else None,
     )
+
+
+def _kinks(problem: Problem) -> float:
+    """Return the share of chi2 below which what a shortened step promises is not there."""
+    if not all(w.simulator.compiled for w in problem.windows):
+        return KINKS_ON_ENGINE
+    return KINKS * len(problem.parameters) / problem.measurements()
+
+
+def _at_kinks(step: _Step, fall: float, most: float) -> bool:
+    """Say whether a step had to be shortened, promised little, and did not keep half of it."""
+    return not step.full and step.predicted < most and fall < 0.5 * step.predicted
 
 
 def _falls_short(passed: Sequence[float], chi2: float, left: int, goal: float) -> bool:

@@ -111,20 +111,20 @@ def starting_point(problem: Problem, extra: Sequence[np.ndarray] = ()) -> Start:
     """
     if not problem.parameters:
         return Start(problem.start())
-    quick, polished = _quick_start(problem, extra)
-    if quick is not None:
-        return quick
+    settled_at_once, polished = _quick_start(problem, extra)
+    if settled_at_once is not None:
+        return settled_at_once
     long = thinned(windowed(problem, LONG), ENOUGH)
     settled, judge = settled_squares(long), _Judge(long)
     found = [*_from_force_balance(problem), problem.start(), *extra]
-    if compiled(problem) or polished is None:
+    if quick(problem) or polished is None:
         costs = [judge.cost(theta) for theta in found]
     else:
         # MuJoCo takes its time: what a few steps led to is better than where they began.
         found, costs = [polished], [judge.cost(polished)]
     best = found[int(np.argmin(costs))] if np.isfinite(min(costs)) else problem.start()
     short = thinned(windowed(problem, SHORT), ENOUGH)
-    for start in _distinct([best, problem.start()] if compiled(problem) else [best]):
+    for start in _distinct([best, problem.start()] if quick(problem) else [best]):
         try:
             found.append(minimise(short, start, iterations=12, tolerance=1e-3).theta)
         except DivergedError:
@@ -193,6 +193,11 @@ def compiled(problem: Problem) -> bool:
     return all(w.simulator.compiled for w in problem.windows)
 
 
+def quick(problem: Problem) -> bool:
+    """Say whether the problem's runs are cheap; MuJoCo's never are."""
+    return all(w.simulator.quick for w in problem.windows)
+
+
 def _quick_start(
     problem: Problem, extra: Sequence[np.ndarray]
 ) -> tuple[Start | None, np.ndarray | None]:
@@ -210,7 +215,7 @@ def _quick_start(
         costs.append(judge.roughly(theta))
         if costs[-1] < NEAR * settled:
             break
-        if len(costs) == FIRST_STARTS and compiled(problem) and min(costs) < AT_ONCE * settled:
+        if len(costs) == FIRST_STARTS and quick(problem) and min(costs) < AT_ONCE * settled:
             # More widths of the force balance cost more than a few steps, which often end the search.
             best = int(np.argmin(costs))
             near = polished[best] = judge.polished(found[best], settled)
@@ -260,7 +265,7 @@ def _from_force_balance(problem: Problem) -> Iterator[np.ndarray]:
                 experiments,
                 float(tried[k]),
                 simulator=simulator,
-                points=POINTS if compiled(problem) else POINTS_ON_ENGINE,
+                points=POINTS if quick(problem) else POINTS_ON_ENGINE,
             ).theta
         except (np.linalg.LinAlgError, ValueError, ModelError):
             continue

@@ -25,6 +25,8 @@ from physid.plant.network import Network, integrate
 from physid.plant.structure import Structure
 
 Hold = Literal["zero", "first", "smooth"]
+MOST_QUICK = 4
+"""Joints whose mass turns up to which a compiled run is so cheap that runs need not be saved."""
 _LINEAR_SENSORS = (
     int(mujoco.mjtSensor.mjSENS_JOINTPOS),
     int(mujoco.mjtSensor.mjSENS_JOINTVEL),
@@ -75,6 +77,8 @@ class Simulator:
         to it with the step; see :func:`physid.plant.network.integrate`.
     threads : int
         Columns simulated at a time.
+    turning : int
+        Joints of a network whose mass matrix turns with them, 0 if it does not.
     """
 
     structure: Structure
@@ -85,11 +89,17 @@ class Simulator:
     sensor_map: np.ndarray | None = None
     exact: bool = True
     threads: int = 1
+    turning: int = 0
 
     @property
     def step(self) -> float:
         """The integration step [s]."""
         return self.dt / self.substeps
+
+    @property
+    def quick(self) -> bool:
+        """Whether runs are cheap; others are thought about before they are made."""
+        return self.compiled and self.turning <= MOST_QUICK
 
     def with_substeps(self, substeps: int) -> Simulator:
         """Return the simulator with another number of steps per sample."""
@@ -345,7 +355,8 @@ def make_simulator(
     sensor_map = linear_sensors(plant.model, model.structure, data, rng, ranges)
     if not same or sensor_map is None:
         return simulator
-    return replace(simulator, compiled=True, sensor_map=sensor_map)
+    turning = plant.model.nv if network.tree_parents.size else 0
+    return replace(simulator, compiled=True, sensor_map=sensor_map, turning=turning)
 
 
 def linear_sensors(

@@ -36,6 +36,16 @@ def test_noise_of_a_resonant_rig_under_steps(seed, level):
     assert 0.8 * sigma < found[0] < 1.25 * sigma
 
 
+def test_what_a_prediction_has_fitted_is_not_taken_for_less_noise():
+    """Six inputs give 169 weights to 3000 rows: the errors alone say 3 % less noise than there is."""
+    rng = np.random.default_rng(7)
+    u = np.repeat(rng.choice([-1.0, 1.0], (150, 6)), 20, axis=0)
+    y = lfilter([0.3], [1.0, -0.7], u @ rng.normal(size=(6, 12)), axis=0)
+    noisy = y + rng.standard_normal(y.shape)
+    found = noise._by_prediction(experiment(u, noisy, 1e-3))
+    assert np.mean(found) == pytest.approx(1.0, abs=0.01)
+
+
 @pytest.mark.parametrize("quantum", [1e-4, 2e-3])
 def test_a_quantised_signal_is_as_noisy_as_its_quantum(quantum):
     y = quantum * np.round(smooth()[:, :1] / quantum)

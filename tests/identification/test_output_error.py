@@ -340,3 +340,19 @@ def test_a_divergence_names_the_record_the_time_and_the_joint():
     ):
         minimise(replace(problem, model=wild))
     assert spring_model(2.0).parameter("block.mass").value == 4.0
+
+
+@pytest.mark.parametrize(
+    ("full", "predicted", "fall", "ends"),
+    [
+        (False, 2.0, 0.5, True),
+        (True, 2.0, 0.5, False),
+        (False, 2.0, 1.5, False),
+        (False, 9.0, 0.5, False),
+    ],
+)
+def test_a_shortened_step_that_keeps_little_of_a_small_promise_ends_a_fit(
+    full, predicted, fall, ends
+):
+    step = output_error._Step(np.zeros(1), [], [], 0.0, [], predicted, full)
+    assert output_error._at_kinks(step, fall, 3.0) is ends

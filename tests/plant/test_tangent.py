@@ -13,7 +13,7 @@ from physid.identification.problem import Problem, residuals_of
 from physid.identification.windows import whole
 from physid.plant.effect import Placed
 from physid.plant.path import Friction, more_friction
-from physid.plant.simulation import Simulator
+from physid.plant.simulation import Ranges, Simulator, make_simulator
 
 from .rigs import load_text
 
@@ -204,3 +204,42 @@ def test_a_motion_too_quick_for_its_sampling_has_none():
     model = load_text(RAIL.format(m=1e-3, k=2000, loss=0, more=""))
     problem = problem_of(model, ["x.stiffness"], np.zeros((300, 1)), substeps=4)
     assert nearby(problem, problem.start(), [np.array([[0.1, 0.0]])]) is None
+
+
+def hanging(joints):
+    """Return the problem of a chain of hinges under gravity, a motor and a dry friction at each, and its start."""
+    text, names = "", range(joints)
+    for k in names:
+        text += (
+            f"<body pos='0 0 {-0.25 if k else 0}'><joint name='h{k}' axis='{k % 2} {1 - k % 2} 0' damping='0.3' "
+            "armature='0.02' frictionloss='0.02' solreffriction='2e-5 1' solimpfriction='0.999 0.9999 0.001'/>"
+            f"<inertial pos='0.02 0 -0.12' mass='{1 / (1 + k)}' diaginertia='0.01 0.01 0.005'/>"
+        )
+    motors = "".join(f"<motor name='u{k}' joint='h{k}'/>" for k in names)
+    sensors = "".join(f"<jointpos name='q{k}' joint='h{k}'/>" for k in names)
+    model = load_text(
+        f"<mujoco><option timestep='0.002'/><worldbody>{text}{'</body>' * joints}</worldbody>"
+        f"<actuator>{motors}</actuator><sensor>{sensors}</sensor></mujoco>"
+    )
+    rng = np.random.default_rng(5)
+    inputs = np.repeat(rng.choice([-1.0, 1.0], (6, joints)), 50, axis=0)
+    problem = problem_of(model, ("h0.damping", "h1.frictionloss"), inputs)
+    around = Ranges(
+        position=np.full(joints, 0.5), speed=np.full(joints, 2.0), level=np.ones(joints)
+    )
+    simulator = make_simulator(model, DT, 1, around)
+    windows = [replace(w, simulator=simulator) for w in problem.windows]
+    return problem.with_windows(windows), [np.hstack([np.zeros(joints), np.ones(joints)])[None]]
+
+
+def test_compiled_runs_of_many_joints_are_linearised_and_of_few_simulated(monkeypatch):
+    """Both take dry friction as it is; finite differences see where a run comes to rest as well."""
+    for joints in (2, 6):
+        problem, states = hanging(joints)
+        simulator = problem.windows[0].simulator
+        assert simulator.compiled
+        assert (simulator.turning, simulator.quick) == (joints, joints == 2)
+        assert (nearby(problem, problem.start(), states) is None) == simulator.quick
+    found, expected = columns(problem, states), simulated(problem, states, monkeypatch)
+    assert np.median(deviations(found, expected)) < 0.03
+    assert deviations(found, expected).max() < 0.2
