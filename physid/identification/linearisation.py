@@ -25,6 +25,8 @@ from physid.identification.windows import state_indices
 
 HIDDEN = 1e-7
 """Singular values of an initial state below this share of the largest are not estimated."""
+ROUNDING = 1e-9
+"""Length of an initial state's column below this share of the longest is the rounding of its runs."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -271,8 +273,10 @@ def triangular(rows: np.ndarray) -> np.ndarray:
 def state_basis(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return an orthonormal basis (w, m, nx) of the states' columns and their pseudo-inverse."""
     scale = np.linalg.norm(rows, axis=1, keepdims=True)
-    scale[scale == 0] = 1.0
-    u, s, vt = np.linalg.svd(rows / scale, full_matrices=False)
+    # The angle of a wheel that nobody measures moves nothing, but for rounding: it must not be found from it.
+    rounding = scale <= ROUNDING * scale.max(axis=2, keepdims=True, initial=0.0)
+    scale[rounding] = 1.0
+    u, s, vt = np.linalg.svd(np.where(rounding, 0.0, rows / scale), full_matrices=False)
     seen = s > HIDDEN * s[:, :1].clip(1e-300)
     basis = u * seen[:, None, :]
     inverse = np.where(seen, 1.0 / np.where(seen, s, 1.0), 0.0)

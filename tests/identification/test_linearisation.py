@@ -9,7 +9,7 @@ from physid.effects.catalogue import effect_named
 from physid.identification import linearisation, uncertainty
 from physid.identification import problem as problems
 from physid.identification.columns import columns_of
-from physid.identification.linearisation import extended, linearise, reduce
+from physid.identification.linearisation import extended, linearise, reduce, state_basis
 from physid.identification.output_error import minimise
 from physid.identification.problem import residuals_of
 from physid.identification.staged import windowed
@@ -141,3 +141,16 @@ def test_the_last_linearisation_is_kept_if_asked(problem):
     assert uncertainty.uncertainty_of(problem, kept).std_error == pytest.approx(
         uncertainty.uncertainty_of(problem, plain).std_error, rel=0.02
     )
+
+
+def test_what_rounding_alone_moves_is_not_estimated():
+    """Scaled to the length of the others, the column of a wheel's unmeasured angle would look like one of them."""
+    rows = np.random.default_rng(3).standard_normal((2, 50, 3))
+    rows[:, :, 0] *= 1e-12
+    rows[:, :, 2] *= 1e-6
+    basis, solver = state_basis(rows)
+    assert np.all(solver[:, 0] == 0.0)
+    np.testing.assert_allclose(
+        solver[:, 1:] @ rows[:, :, 1:], np.broadcast_to(np.eye(2), (2, 2, 2)), atol=1e-9
+    )
+    assert np.all(np.count_nonzero(np.any(basis != 0.0, axis=1), axis=1) == 2)
