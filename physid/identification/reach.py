@@ -70,11 +70,12 @@ def growth_rate(model: Model, experiment: Experiment) -> float:
     apart = max(1, int(experiment.period / PER_PERIOD / experiment.dt))
     rows = np.arange(0, samples, apart)[:INSTANTS]
     steps = max(1, round(apart * experiment.dt / linear.step))
-    flow, grown = np.eye(len(maps[0])), 0.0
+    # All directions are followed: one alone may stay where nothing grows, as does the angle of a wheel that rolls.
+    flow, grown = np.eye(len(maps[0])), np.zeros(len(maps[0]))
     for a in linear.along(experiment, rows):
         flow, r = np.linalg.qr(np.linalg.matrix_power(a, steps) @ flow)
-        grown += float(np.log(max(abs(r[0, 0]), 1e-300)))
-    return grown / (len(rows) * steps * linear.step)
+        grown += np.log(np.maximum(np.abs(np.diag(r)), 1e-300))
+    return float(grown.max()) / (len(rows) * steps * linear.step)
 
 
 class _Linearised:

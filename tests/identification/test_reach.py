@@ -88,6 +88,27 @@ def test_a_pendulum_that_swings_far_out_is_not_unstable():
     assert within_reach(model, experiment).reach is None
 
 
+CART = """<mujoco model="cart"><option timestep="0.005"/><worldbody><body name="cart" pos="0 0 1">
+<joint name="rail" type="slide" axis="1 0 0"/><geom type="box" size="0.1 0.1 0.1" mass="1"/>
+<body name="pole"><joint name="hinge" axis="0 1 0"/><geom type="sphere" size="0.05" mass="1" pos="0 0 0.5"/></body>
+</body></worldbody><actuator><motor name="push" joint="rail"/></actuator>
+<sensor><jointpos name="at" joint="rail"/><jointvel name="turns" joint="hinge"/></sensor></mujoco>"""
+
+
+def test_a_first_joint_that_moves_freely_does_not_hide_what_runs_away():
+    """The cart's place is a direction of its own in which nothing grows, and the pole's angle is not measured."""
+    model, n = load_text(CART), 1000
+    values = 1e-3 * np.random.default_rng(0).standard_normal((n, 3))
+    record = Record(
+        path="cart", time=DT * np.arange(n), columns=("push", "at", "turns"), values=values
+    )
+    experiment = as_experiment(model, record)
+    assert growth_rate(model, experiment) == pytest.approx(
+        np.sqrt(9.81 * 0.5 * 2 / INERTIA / (2 - 0.25 / INERTIA)), rel=0.06
+    )
+    assert within_reach(model, experiment).reach is not None
+
+
 def test_pieces_cover_the_record_in_a_row(upright):
     model = pole(0.5)
     experiment = within_reach(model, as_experiment(model, upright))
