@@ -26,6 +26,7 @@ from physid.effects.catalogue import effects_of
 from physid.errors import NumericsError
 from physid.identification.estimate import Estimate
 from physid.identification.linearisation import reduce
+from physid.identification.output_error import minimise
 from physid.identification.problem import Problem
 from physid.identification.sizes import scales_of
 from physid.identification.staged import (
@@ -55,6 +56,9 @@ NEARLY = 0.01
 """... or this share of the squares that the model leaves: a step that takes so much leads somewhere."""
 MUCH_LONGER = 1.5
 """Length of whole stretches over that of long windows from which they are a horizon of their own."""
+RIVALLING, SETTLED_BY = 1.1, 0.5
+"""Squares on every horizon, over those of the best, of candidates that are brought to their minimum, and what
+another step there must be expected to gain: candidates are told apart by less than ends a fit on its way."""
 SAME = 10.0
 """Difference of the information criterion within which two fits of one law end."""
 
@@ -82,8 +86,19 @@ def search(
     Returns
     -------
     list of Refit
-        Best first.
+        Best first, those that rival the best at their minimum.
     """
+    return _at_their_minimum(base, _searched(study, base, candidates, report, leads))
+
+
+def _searched(
+    study: Study,
+    base: Base,
+    candidates: Sequence[tuple[Effect, Place]],
+    report: Callable[[str, float], None],
+    leads: Sequence[Lead],
+) -> list[Refit]:
+    """Search with fits that end where they tell the promising from the rest."""
     report(f"screening {len(candidates)} candidates", 0.0)
     long = base.problems["long"]
     worst = base.fits["long"].squares
@@ -137,6 +152,36 @@ def search(
         return fits
     alone = without_partner(base, fits[0], scales)
     return _best_with_blocks(base, _better_of([*fits, *alone], base), scales)
+
+
+def _at_their_minimum(base: Base, fits: list[Refit]) -> list[Refit]:
+    """Fit candidates that rival the best on, and sort again; those of dear rigs stay as they are."""
+    if not quick(base.problems["long"]):
+        return fits
+    rivals = [f for f in fits if _rivals(f, fits[0])]
+    if len(rivals) < 2:
+        return fits
+    done = [_fitted_on(base, f) if any(f is r for r in rivals) else f for f in fits]
+    return sorted(done, key=lambda f: score(base, f, tuple(base.fits)))
+
+
+def _rivals(fit: Refit, best: Refit) -> bool:
+    """Say whether a candidate's squares are near those of another one on every horizon."""
+    return all(
+        e.squares < RIVALLING * best.fits[h].squares for h, e in fit.fits.items() if h in best.fits
+    )
+
+
+def _fitted_on(base: Base, fit: Refit) -> Refit:
+    """Return a candidate whose fits went on until another step would gain next to nothing."""
+    fits = dict(fit.fits)
+    for horizon, known in fit.fits.items():
+        problem = fit.problem.with_windows(base.problems[horizon].windows)
+        tolerance = SETTLED_BY / max(known.chi2, SETTLED_BY)
+        with suppress(NumericsError):
+            found = minimise(problem, known.theta, known.states, iterations=12, tolerance=tolerance)
+            fits[horizon] = min(known, found, key=lambda e: e.chi2)
+    return replace(fit, fits=fits)
 
 
 def _leaves_noise(base: Base, fit: Refit) -> bool:

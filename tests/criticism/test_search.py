@@ -12,6 +12,7 @@ from physid.criticism.grounds import Group
 from physid.criticism.refit import Start, _seen_from, alike, refit, with_block, without_partner
 from physid.effects.catalogue import CATALOGUE
 from physid.errors import DivergedError
+from physid.identification.problem import residuals_of
 from physid.identification.screening import scales_of, screen
 from physid.identification.study import Options, prepare
 from physid.plant.effect import Placed
@@ -222,3 +223,33 @@ def test_windows_shorten_until_the_base_can_be_followed(rubbing, monkeypatch):
     assert set(base.fits) == {"short", "long"}
     samples = {h: base.problems[h].windows[0].samples for h in base.fits}
     assert samples["short"] < samples["long"] <= 0.6 * longest
+
+
+def test_candidates_that_rival_the_best_are_compared_at_their_minimum(rubbing):
+    """One that stopped on its way would lose to another by more than tells candidates apart."""
+    found = with_block(rubbing.base, refitted(rubbing))
+    on_its_way = {}
+    for horizon, estimate in found.fits.items():
+        problem = found.problem.with_windows(rubbing.base.problems[horizon].windows)
+        theta = estimate.theta * (1.0 + 0.0003 * np.arange(1, len(estimate.theta) + 1))
+        residuals = residuals_of(problem, [theta], [estimate.states])[0]
+        chi2 = float(sum(np.vdot(r, r) for r in residuals))
+        on_its_way[horizon] = replace(estimate, theta=theta, residuals=residuals, chi2=chi2)
+    early = replace(found, fits=on_its_way)
+    far = replace(
+        found,
+        fits={
+            h: replace(e, residuals=[4.0 * r for r in e.residuals], chi2=16.0 * e.chi2)
+            for h, e in found.fits.items()
+        },
+    )
+    assert search._rivals(early, found)
+    assert not search._rivals(far, found)
+    done = search._at_their_minimum(rubbing.base, [found, early, far])
+    assert done[2] is far
+    squares = [[e.chi2 for e in f.fits.values()] for f in done[:2]]
+    np.testing.assert_allclose(*squares, atol=5.0)
+    assert all(
+        after.chi2 <= before.chi2
+        for after, before in zip(done[0].fits.values(), found.fits.values(), strict=True)
+    )
