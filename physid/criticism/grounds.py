@@ -84,7 +84,7 @@ def undistorted(study: Study, problem: Problem) -> Estimate:
 def grounds_of(
     problems: Mapping[str, Problem], fits: Mapping[str, Estimate]
 ) -> list[tuple[Problem, Estimate]]:
-    """Return where a model is held to its candidates: every horizon, or the long one in MuJoCo."""
+    """Return where a model is held to its candidates: every horizon, or the long one where runs are dear."""
     return [(problems[h], fits[h]) for h in fits if h == "long" or quick(problems[h])]
 
 
@@ -93,7 +93,7 @@ def grounds_for(
 ) -> list[tuple[Problem, Estimate]]:
     """Return where single effects are screened: at every horizon, and where the model is not distorted.
 
-    Where MuJoCo simulates, one ground must do.  So it may where no more than noise is left: nothing is
+    Where runs are dear, one ground must do.  So it may where no more than noise is left: nothing is
     distorted that one could show better than another, and the longest windows, with the fewest
     initial states, tell most.
     """

@@ -244,7 +244,7 @@ def _refinement(
 ) -> Refinement:
     last = steps[-1].fitted
     filed, error = for_engine(last.problem, last.estimate.theta, last.estimate.states)
-    runs_away = any(w.experiment.reach is not None for w in last.problem.windows)
+    runs_away = last.problem.runs_away
     if steps[-1].tested is not None and not runs_away:
         # Numerical accuracy only: the test records' motion may need a finer step.
         problem, estimate = steps[-1].tested

@@ -74,8 +74,7 @@ def for_engine(
     begun = _begun(problem)
     exact = residuals_of(begun, [theta], [states])[0]
     substeps = problem.windows[0].simulator.substeps
-    in_pieces = any(w.experiment.reach is not None for w in problem.windows)
-    most = FINEST if in_pieces else FINEST_IN_FILES
+    most = FINEST if problem.runs_away else FINEST_IN_FILES
     while True:
         filed = as_engine(with_substeps(problem, substeps))
         error = _overwritten([r.copy() for r in exact], _begun(filed), theta, states)

@@ -1,7 +1,7 @@
-"""What lies next to a simulated point, without simulating it: tangents of MuJoCo's runs.
+"""What lies next to a simulated point, without simulating it: tangents of runs.
 
-Where MuJoCo simulates, all sensitivities together cost about what three more runs do; see
-:mod:`physid.plant.tangent`.  The compiled back end needs none: there a run is cheap.
+Where runs are dear, in MuJoCo or of many joints that turn masses, all sensitivities together cost about
+what three more runs do; see :mod:`physid.plant.tangent`.  Cheap runs need none.
 """
 
 from __future__ import annotations

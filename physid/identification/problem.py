@@ -78,6 +78,11 @@ class Problem:
             known[key] = family_of(self.model, self.parameters, at, simulator.step)
         return known[key]
 
+    @property
+    def runs_away(self) -> bool:
+        """Whether the model runs away along a record, which is simulated in pieces then."""
+        return any(w.experiment.reach is not None for w in self.windows)
+
     def with_windows(self, windows: Sequence[Windows]) -> Problem:
         """Return the same problem on other windows."""
         return replace(self, windows=tuple(windows))
