@@ -15,6 +15,7 @@ from physid.criticism.leads import Lead, lead_notes, possible_leads, sites_of
 from physid.criticism.merit import LEAST_GAIN, NOISE_LIKE, explained, score
 from physid.criticism.refit import Refit
 from physid.criticism.search import base_of, search, windows_of
+from physid.identification.estimate import Estimate
 from physid.identification.screening import Ground, possible_candidates
 from physid.identification.study import Study
 
@@ -72,6 +73,7 @@ def diagnose_study(
     span: tuple[float, float] = (0.3, 0.95),
     named: float = NAMED,
     leads: Sequence[Lead] = (),
+    known: Mapping[str, Estimate] | None = None,
 ) -> Diagnosis:
     """Find what is missing in a study's model.
 
@@ -85,6 +87,8 @@ def diagnose_study(
         Share of the excess error that an effect must remove to be named.
     leads : sequence of Lead
         What other results speak for.
+    known : mapping of str to Estimate, optional
+        Fits of the study's model at the horizons of a search, to start from.
 
     Returns
     -------
@@ -96,7 +100,7 @@ def diagnose_study(
 
     possible = possible_leads(study, leads)
     report("fitting the model as it stands", 0.0)
-    base = base_of(study)
+    base = base_of(study, known)
     candidates = possible_candidates(study.problem)
     tried = len({*((e.name, p) for e, p in candidates), *sites_of(study.model, possible)})
     fits = search(

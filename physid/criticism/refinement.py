@@ -109,12 +109,15 @@ def refine(
     steps = [_step(study, tests, (), None)]
     first: Diagnosis | None = None
     remaining = "unexplained"
+    known: Mapping[str, Estimate] | None = None
     for round_number in range(MOST_ROUNDS):
         width = 0.6 / MOST_ROUNDS
         begin = 0.3 + round_number * width
         named = NAMED if first is None else NAMED_BESIDE
         try:
-            found = diagnose_study(study, span=(begin, begin + width), named=named, leads=leads)
+            found = diagnose_study(
+                study, span=(begin, begin + width), named=named, leads=leads, known=known
+            )
         except NumericsError:
             if first is None:
                 raise
@@ -134,6 +137,7 @@ def refine(
             study = replace(
                 study, problem=problem, theta=steps[-1].fitted.estimate.theta, states=None
             )
+        known = found.candidates[0].refit.fits if kept == len(added) else None
         if not kept and found is first and _could_be_earned(steps[-1]):
             first = _without_a_place(first)
         if kept < len(added) or not added:

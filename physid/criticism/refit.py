@@ -14,7 +14,7 @@ from physid.identification.force_balance import observable, solve_balance, width
 from physid.identification.output_error import minimise
 from physid.identification.problem import Problem
 from physid.identification.screening import screen
-from physid.identification.staged import states_only
+from physid.identification.staged import followed, states_only
 from physid.plant.effect import Placed, Scales
 from physid.plant.model import Model
 from physid.plant.parameter import Parameter
@@ -330,12 +330,13 @@ def _fit_horizons(
         noise = {h: base.problems[h].measurements() for h in ("short", "long")}
         hoped = FAR_OFF * goal * noise["short"] / noise["long"]
         short_fit = _fitted(base, brief, start, "short", min(base.fits["short"].squares, hoped))
-        long_fit = _fitted(base, long, short_fit.theta, "long", goal)
+        if short_fit.squares > hoped:
+            return None
+        states = followed(long, short_fit.theta) if _halves_short(base, short_fit) else None
+        long_fit = _fitted(base, long, short_fit.theta, "long", goal, states)
         if long_fit.chi2 > 0.9 * base.fits["long"].chi2:
             other = _fitted(base, long, start, "long", goal)
             long_fit = min(long_fit, other, key=lambda e: e.chi2)
-        if long_fit.chi2 > base.fits["long"].chi2 and _halves_short(base, short_fit):
-            long_fit = min(long_fit, _unrolled(long, short_fit.theta), key=lambda e: e.chi2)
     except (NumericsError, ModelError):
         return None
     return {"short": short_fit, "long": long_fit}
@@ -347,22 +348,19 @@ def _halves_short(base: Base, fit: Estimate) -> bool:
     return fit.squares - noise < 0.5 * (base.fits["short"].squares - noise)
 
 
-def _unrolled(problem: Problem, theta: np.ndarray) -> Estimate:
-    """Fit on long windows whose initial states are found first, from their beginnings on.
-
-    An unstable model runs away from a measured initial state, and no step leads back from there.
-    """
-    begun = states_only(replace(problem, model=problem.at(theta)))
-    return minimise(problem, theta, begun.states, iterations=8, tolerance=2e-3)
-
-
 def _fitted(
-    base: Base, problem: Problem, theta: np.ndarray, horizon: str, goal: float = np.inf
+    base: Base,
+    problem: Problem,
+    theta: np.ndarray,
+    horizon: str,
+    goal: float = np.inf,
+    states: list[np.ndarray] | None = None,
 ) -> Estimate:
+    """Fit from initial states that are known to follow the windows, or from the base's."""
     found = minimise(
         problem,
         theta,
-        base.states(horizon),
+        base.states(horizon) if states is None else states,
         iterations=8,
         tolerance=2e-3,
         guess=base.guess(problem, horizon),
@@ -385,7 +383,8 @@ def with_block(base: Base, fit: Refit, goal: float = np.inf) -> Refit:
     for horizon in ("long", "short"):
         try:
             theta = fit.fits[horizon].theta
-            tried.append(minimise(problem, theta, iterations=10, tolerance=2e-3, goal=goal))
+            states = followed(problem, theta)
+            tried.append(minimise(problem, theta, states, iterations=10, tolerance=2e-3, goal=goal))
         except (NumericsError, ModelError):
             continue
         if tried[-1].chi2 < 0.5 * base.fits["block"].chi2:

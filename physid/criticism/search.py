@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -34,6 +34,7 @@ from physid.identification.staged import (
     Spans,
     compiled,
     fit_windows,
+    followed,
     quick,
     thinned,
     windowed,
@@ -129,9 +130,11 @@ def _searched(
             later.append(k)
             continue
         # What looks like one of them is followed however its first step ends, as long as it is on
-        # its way to noise, unless there is nothing to explain and all look alike.
+        # its way to noise, unless there is nothing to explain and all look alike; and all of a model
+        # that runs away, whose first steps tell nothing.
         twin = unexplained and any(_looks_like(group, f, groups) for f in explaining)
-        near = limit if explaining and not twin else np.inf
+        followed_all = twin or (unexplained and long.runs_away)
+        near = limit if explaining and not followed_all else np.inf
         goal = min(limit if explaining else np.inf, _goal(base, fits))
         fits += _refitted(base, long, kept, group, k, near, goal)
     fits = _best_with_blocks(base, _with_siblings(base, fits, scales), scales)
@@ -263,8 +266,14 @@ def windows_of(study: Study, horizon: str, spans: Spans) -> Problem:
     return thinned(problem, ENOUGH) if np.isfinite(HORIZONS[horizon]) else problem
 
 
-def base_of(study: Study) -> Base:
+def base_of(study: Study, known: Mapping[str, Estimate] | None = None) -> Base:
     """Fit the base model on the choosing data at every horizon it can be simulated over.
+
+    Parameters
+    ----------
+    study : Study
+    known : mapping of str to Estimate, optional
+        Fits of this model at some horizons, whose initial states are near the right ones.
 
     Raises
     ------
@@ -272,6 +281,41 @@ def base_of(study: Study) -> Base:
         If it diverges over short windows too.
     """
     problems = {h: windows_of(study, h, choosing_spans) for h in HORIZONS}
+    fits: dict[str, Estimate] = {}
+    with suppress(NumericsError):
+        fits = _fitted_before(study, problems, known or {})
+    if not fits:
+        fits = _fitted_afresh(study, problems)
+    if "block" not in fits and _much_longer(problems["block"], problems["long"]):
+        with suppress(NumericsError):
+            states = followed(problems["block"], fits["long"].theta)
+            fits["block"] = fit_windows(problems["block"], fits["long"].theta, states)
+    if "block" in fits and float(np.max(nrmse(problems["block"], fits["block"]))) >= 1.0:
+        fits.pop("block")
+    points = {}
+    for h, f in fits.items():
+        with suppress(NumericsError):
+            points[h] = reduce(problems[h], f.theta, f.states, f.residuals)
+    if "block" not in points:
+        fits.pop("block", None)
+    return Base(problems=problems, fits=fits, points=points).with_few()
+
+
+def _fitted_before(
+    study: Study, problems: Mapping[str, Problem], known: Mapping[str, Estimate]
+) -> dict[str, Estimate]:
+    """Fit windows from initial states that are known; none where they are of other windows."""
+    if not {"short", "long"} <= set(known) or any(
+        len(x) != len(w.starts)
+        for h, e in known.items()
+        for x, w in zip(e.states, problems[h].windows, strict=True)
+    ):
+        return {}
+    return {h: fit_windows(problems[h], study.theta, e.states) for h, e in known.items()}
+
+
+def _fitted_afresh(study: Study, problems: dict[str, Problem]) -> dict[str, Estimate]:
+    """Fit windows; the long ones are made shorter where the model cannot be followed over them."""
     try:
         long = fit_windows(problems["long"], study.theta)
     except NumericsError:
@@ -282,18 +326,7 @@ def base_of(study: Study) -> Base:
     if quick(problems["long"]):
         again = fit_windows(problems["long"], fits["short"].theta)
         fits["long"] = min(long, again, key=lambda e: e.chi2)
-    if _much_longer(problems["block"], problems["long"]):
-        with suppress(NumericsError):
-            block = fit_windows(problems["block"], fits["long"].theta)
-            if float(np.max(nrmse(problems["block"], block))) < 1.0:
-                fits["block"] = block
-    points = {}
-    for h, f in fits.items():
-        with suppress(NumericsError):
-            points[h] = reduce(problems[h], f.theta, f.states, f.residuals)
-    if "block" not in points:
-        fits.pop("block", None)
-    return Base(problems=problems, fits=fits, points=points).with_few()
+    return fits
 
 
 def _much_longer(blocks: Problem, long: Problem) -> bool:

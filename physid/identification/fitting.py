@@ -14,6 +14,7 @@ from physid.identification.accuracy import SHARE_OF_RESULT, as_engine, refine_st
 from physid.identification.estimate import Estimate
 from physid.identification.experiment import Experiment
 from physid.identification.force_balance import Balance, balance, observable, widths
+from physid.identification.instants import in_the_best_valley
 from physid.identification.problem import Problem, blocks_of
 from physid.identification.staged import (
     LONG,
@@ -25,6 +26,7 @@ from physid.identification.staged import (
     settled_squares,
     starting_point,
     states_only,
+    tolerance_of,
     windowed,
 )
 from physid.identification.study import Study
@@ -79,6 +81,7 @@ def estimated(study: Study, *, from_windows: bool = True) -> tuple[Problem, Esti
         estimate = _frozen(problem)
     elif from_windows:
         estimate = _from_other_shapes(study, _from_windows(study))
+        estimate = in_the_best_valley(problem, estimate, tolerance_of(problem))
     else:
         estimate = fit_whole(problem, study.theta)
     problem, error = refine_steps(

@@ -88,15 +88,26 @@ class Reduced:
         """
         found = []
         for rows, shift, old, new in zip(self.rows, shifts, before, after, strict=True):
-            step = np.concatenate(
-                [shift, np.broadcast_to(change, (len(shift), len(change)))], axis=1
-            )
-            done = (old - new).reshape(len(rows), -1)
-            missed = done - np.einsum("wmc,wc->wm", rows, step)
+            step = _joined(shift, change)
+            missed = _missed(rows, step, old, new)
             weighted = step * np.einsum("wmc,wmc->wc", rows, rows)
             size = np.maximum(np.sum(step * weighted, axis=1, keepdims=True), 1e-300)
             found.append(rows + missed[:, :, None] * (weighted / size)[:, None, :])
         return replace(self, rows=found).at(after)
+
+    def beyond(
+        self,
+        shifts: list[np.ndarray],
+        change: np.ndarray,
+        before: list[np.ndarray],
+        after: list[np.ndarray],
+    ) -> Reduced:
+        """Return the columns beside what a step left beyond their promise; arguments as :meth:`updated`."""
+        left = [
+            -_missed(rows, _joined(shift, change), old, new).reshape(new.shape)
+            for rows, shift, old, new in zip(self.rows, shifts, before, after, strict=True)
+        ]
+        return self.at(left)
 
     def state_steps(self, change: np.ndarray) -> list[np.ndarray]:
         """Return the change of every window's free state (w, nx) for a parameter change (p,)."""
@@ -104,6 +115,19 @@ class Reduced:
             np.einsum("wij,wj->wi", solver, target - columns @ change)
             for solver, columns, target in zip(self.solvers, self.states, self.targets, strict=True)
         ]
+
+
+def _joined(shift: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """Join steps of initial states (w, nx) and of parameters (p,), (w, nx + p)."""
+    return np.concatenate([shift, np.broadcast_to(change, (len(shift), len(change)))], axis=1)
+
+
+def _missed(
+    rows: np.ndarray, step: np.ndarray, before: np.ndarray, after: np.ndarray
+) -> np.ndarray:
+    """Return what a step did to residuals less what columns (w, m, c) promised, (w, m)."""
+    done = (before - after).reshape(len(rows), -1)
+    return np.asarray(done - np.einsum("wmc,wc->wm", rows, step))
 
 
 def reduce(

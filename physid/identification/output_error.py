@@ -154,7 +154,7 @@ def minimise(
             )
         behind = theta, states, chi2
         theta, states, residuals, chi2 = step.theta, step.states, step.residuals, step.chi2
-        damping = max(damping * (0.1 if fall > 0.5 * step.predicted else 1.0), 1e-9)
+        damping = _relaxed(damping, step, fall)
     return Estimate(
         theta=theta,
         states=states,
@@ -164,6 +164,16 @@ def minimise(
         converged=done,
         point=last if keep and done and _close(problem, theta, at) else None,
     )
+
+
+def _relaxed(damping: float, step: _Step, fall: float) -> float:
+    """Return the damping after a step: much less of it if the first one tried did as it promised.
+
+    Where one with less damping has just failed, a little less is tried.
+    """
+    kept = fall / max(step.predicted, 1e-300)
+    share = (0.1 if kept > 0.5 else 1.0) if step.full else (0.4 if kept > 0.8 else 1.0)
+    return max(share * damping, 1e-9)
 
 
 def _kinks(problem: Problem) -> float:
@@ -241,8 +251,46 @@ def _descend(
             return _Step(target, moved, tried, value, shifts, predicted, full), damping
         if predicted < tolerance * chi2 or once:
             break
+        if k == 0 and np.isfinite(value):
+            missed = _Step(target, moved, tried, value, shifts, predicted, False)
+            bent = _into_the_valley(problem, point, start, missed, damping)
+            if bent is not None and bent.chi2 < chi2:
+                return bent, damping
         damping = max(10 * damping, 1e-3) if share == 1.0 else damping
     return None, damping
+
+
+def _into_the_valley(
+    problem: Problem, point: Reduced, start: _Point, missed: _Step, damping: float
+) -> _Step | None:
+    """Return a step that missed a curved valley, led back into it with the same columns.
+
+    What a step leaves beyond its columns' promise is curvature along it.  Taking that away, and nothing
+    else, allows steps along the valley where shorter ones would creep (geodesic acceleration: Transtrum,
+    Sethna, arXiv 1201.5885; here the curvature is that of the whole step, which costs no run of its own).
+    """
+    if not point.rows:
+        return None
+    theta, _, residuals, _ = start
+    bent = point.beyond(missed.shifts, missed.theta - theta, residuals, missed.residuals)
+    at_rest = [  # what is known of parameters is linear and has no curvature
+        p if p.prior is None else replace(p, prior=(float(t), p.prior[1]))
+        for p, t in zip(problem.parameters, missed.theta, strict=True)
+    ]
+    still = replace(problem, parameters=tuple(at_rest))
+    change, _ = _step(still, bent, missed.theta, damping)
+    back = bent.state_steps(change)
+    states = [_moved(problem.model, x, d) for x, d in zip(missed.states, back, strict=True)]
+    limits = [p.lower for p in problem.parameters], [p.upper for p in problem.parameters]
+    target = np.clip(missed.theta + change, *limits)
+    tried = residuals_of(problem, [target], [states])[0]
+    return missed._replace(
+        theta=target,
+        states=states,
+        residuals=tried,
+        chi2=_chi2(problem, target, tried),
+        shifts=[a + b for a, b in zip(missed.shifts, back, strict=True)],
+    )
 
 
 def _led_back(

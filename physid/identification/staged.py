@@ -29,6 +29,8 @@ SHORT, LONG = 0.3, 1.5
 """Window lengths in typical periods of the motion."""
 FEWEST = 12
 """Windows that are kept however long they are."""
+WHOLE = 80
+"""Linearisations of a fit of whole records at most; along curved valleys many steps are short."""
 LEAST_BEGINNING = 40
 """Samples below which the beginning of a window is not fitted by itself."""
 ENOUGH = 5000
@@ -276,14 +278,18 @@ def _frozen(problem: Problem, theta: np.ndarray) -> Problem:
 
 
 def fit_windows(
-    problem: Problem, theta: np.ndarray | None = None, *, iterations: int = 20
+    problem: Problem,
+    theta: np.ndarray | None = None,
+    states: list[np.ndarray] | None = None,
+    *,
+    iterations: int = 20,
 ) -> Estimate:
     """Fit on the problem's windows, starting again with fresh damping while that still helps.
 
     Where MuJoCo simulates, whose friction makes the last steps many and small, it ends earlier.
     """
     tolerance = 1e-4 if compiled(problem) else 1e-3
-    estimate = minimise(problem, theta, iterations=iterations, tolerance=tolerance)
+    estimate = minimise(problem, theta, states, iterations=iterations, tolerance=tolerance)
     estimate = mended(problem, estimate)
     for _ in range(3):
         again = minimise(
@@ -305,8 +311,7 @@ def fit_whole(
 ) -> Estimate:
     """Fit on the whole records, from values found on windows, and from initial states if known.
 
-    The tolerance, if none is given, is that at which a step is small beside the standard errors, or
-    beside what MuJoCo's friction makes of the misfit's finest shape where MuJoCo simulates.
+    The tolerance is that of :func:`tolerance_of` if none is given.
 
     Raises
     ------
@@ -319,16 +324,24 @@ def fit_whole(
     ):
         states = None  # where records begin says little of where their later pieces do
     if tolerance is None:
-        tolerance = 1e-6 if compiled(problem) else 1e-4
+        tolerance = tolerance_of(problem)
     if any(len(w.starts) > 1 for w in whole_problem.windows):
         estimate = _fit_pieces(whole_problem, theta, states, tolerance)
     else:
         estimate = minimise(
-            whole_problem, theta, states, iterations=40, tolerance=tolerance, keep=True
+            whole_problem, theta, states, iterations=WHOLE, tolerance=tolerance, keep=True
         )
     if not np.isfinite(estimate.chi2):
         raise ConvergenceError("The fit did not reach a finite misfit; check the model's units.")
     return estimate
+
+
+def tolerance_of(problem: Problem) -> float:
+    """Return the tolerance of a fit of whole records, at which a step is small beside the standard errors.
+
+    Where MuJoCo simulates it is small beside what its friction makes of the misfit's finest shape.
+    """
+    return 1e-6 if compiled(problem) else 1e-4
 
 
 def _fit_pieces(
@@ -340,7 +353,7 @@ def _fit_pieces(
     """
     alone = states_only(replace(problem, model=problem.at(theta)), states)
     return minimise(
-        problem, theta, alone.states, iterations=40, tolerance=tolerance, keep=True, apart=True
+        problem, theta, alone.states, iterations=WHOLE, tolerance=tolerance, keep=True, apart=True
     )
 
 
@@ -384,6 +397,17 @@ def states_only(problem: Problem, states: list[np.ndarray] | None = None) -> Est
         beginning = frozen.with_windows(begun)
         states = mended(beginning, minimise(beginning, np.zeros(0), states, iterations=6)).states
     return mended(frozen, minimise(frozen, np.zeros(0), states, iterations=12, tolerance=1e-5))
+
+
+def followed(problem: Problem, theta: np.ndarray) -> list[np.ndarray] | None:
+    """Return initial states from which a model that runs away follows its windows at some parameters.
+
+    From a measured initial state such a model soon leads away, and no step leads back from there.
+    None for other models, whose states need no care.
+    """
+    if not problem.runs_away:
+        return None
+    return states_only(replace(problem, model=problem.at(theta))).states
 
 
 def mended(problem: Problem, estimate: Estimate) -> Estimate:

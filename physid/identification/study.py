@@ -13,6 +13,7 @@ import numpy as np
 from physid.effects.catalogue import add_effects, load_model
 from physid.errors import DivergedError, InputError, RecordError
 from physid.identification.accuracy import refine_steps, with_substeps
+from physid.identification.estimate import Estimate
 from physid.identification.experiment import (
     Experiment,
     as_experiment,
@@ -334,29 +335,41 @@ def choose_hold(problem: Problem, theta: np.ndarray) -> tuple[Problem, np.ndarra
         if CLEARLY * held_only.chi2 < noise.measurements():
             # Noise alone would leave more than is asked of another kind of hold.
             return problem, theta, ""
-    tried = {}
-    for hold in ("zero", "first", "smooth"):
-        other = with_hold(problem, hold)
-        with suppress(DivergedError):
-            short = minimise(
-                thinned(windowed(other, SHORT), ENOUGH), theta, iterations=8, tolerance=1e-3
-            )
-            long = minimise(
-                thinned(windowed(other, LONG), ENOUGH), short.theta, iterations=10, tolerance=1e-3
-            )
-            tried[hold] = (long.chi2, short.chi2, long.theta)
+    holds: tuple[Hold, ...] = ("zero", "first", "smooth")
+    short = _by_hold(problem, holds, SHORT, dict.fromkeys(holds, theta), 8)
     # Where the record cannot be followed with a held input, no other is known to be better.
-    best = min(tried, key=lambda h: tried[h][0]) if "zero" in tried else "zero"
-    if best == "zero" or any(tried[best][k] > CLEARLY * tried["zero"][k] for k in (0, 1)):
+    clear = [h for h in short if "zero" in short and short[h].chi2 <= CLEARLY * short["zero"].chi2]
+    if not clear:
+        return problem, theta, ""
+    starts = {h: short[h].theta for h in ("zero", *clear)}
+    long = _by_hold(problem, ("zero", *clear), LONG, starts, 10)
+    best = min(long, key=lambda h: long[h].chi2) if "zero" in long else "zero"
+    if best == "zero" or long[best].chi2 > CLEARLY * long["zero"].chi2:
         return problem, theta, ""
     words = {"first": "straight lines", "smooth": "a smooth curve"}[best]
-    share = np.sqrt(tried[best][0] / tried["zero"][0])
+    share = np.sqrt(long[best].chi2 / long["zero"].chi2)
     return (
-        with_hold(problem, best),  # type: ignore[arg-type]
-        tried[best][2],
+        with_hold(problem, best),
+        long[best].theta,
         f"The input is joined by {words} between its samples: the misfit falls to {100 * share:.0f} % of "
         "that with a held input (--hold zero keeps it held).",
     )
+
+
+def _by_hold(
+    problem: Problem,
+    holds: Sequence[Hold],
+    periods: float,
+    starts: Mapping[Hold, np.ndarray],
+    iterations: int,
+) -> dict[Hold, Estimate]:
+    """Fit windows with some holds, from parameters (p,) each; those that diverge are left out."""
+    found = {}
+    for hold in holds:
+        windows = thinned(windowed(with_hold(problem, hold), periods), ENOUGH)
+        with suppress(DivergedError):
+            found[hold] = minimise(windows, starts[hold], iterations=iterations, tolerance=1e-3)
+    return found
 
 
 def with_hold(problem: Problem, hold: Hold) -> Problem:

@@ -31,6 +31,9 @@ FED_BACK, ONE_MISSING, SIX_RIGS = 0.3, 0.2, 0.5
 """Shares of cases under a controller, with one sensor missing, on one of the six rigs."""
 SHOWN = 1.0  # least size of an effect over the noise, beside what parameters imitate
 LARGEST_GROWTH = 10.0  # of a small change of the state: beyond, no model can follow the record
+HELD = 5.0
+"""Largest excursion, over the bare machine's, of an unstable one that its controller still holds: a robot
+that has fallen lies on the floor, which its model lacks, and does not whirl about its axle."""
 TRIES, STRONGER, WEAKER = 16, 1.5, 0.7
 SITES_TRIED = 40
 
@@ -203,7 +206,9 @@ def _with_strengths(trial: Trial, machine: Machine, rng: np.random.Generator) ->
             return None
         found.append(hidden)
     whole = replace(trial, hidden=tuple(found))
-    return whole if _followed(setup, whole.hidden) else None
+    run = setup.run("train", whole.hidden, quiet=True, substeps=4)
+    held = _held(setup, ground, run) and _followed(setup, whole.hidden)
+    return whole if held else None
 
 
 def _strength(
@@ -220,13 +225,19 @@ def _strength(
         )
         hidden = replace(blank, parameters=draw_strength(blank.effect, rng, sized))
         run = setup.run("train", (hidden,), quiet=True, substeps=4)
-        if not np.all(np.isfinite(run.states)) or not _followed(setup, (hidden,)):
+        if not _held(setup, ground, run) or not _followed(setup, (hidden,)):
             factor *= WEAKER
         elif _shown(trial, ground, run) < SHOWN:
             factor *= STRONGER
         else:
             return hidden
     return None
+
+
+def _held(setup: Setup, ground: _Ground, run: Run) -> bool:
+    """Say whether a motion is finite and, of an unstable machine, near that of the bare one."""
+    largest = HELD * np.abs(ground.bare.states).max(axis=0) if setup.machine.unstable else np.inf
+    return bool(np.all(np.abs(run.states) < largest))
 
 
 def _shown(trial: Trial, ground: _Ground, run: Run) -> float:
