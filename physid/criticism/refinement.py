@@ -37,7 +37,7 @@ from physid.criticism.diagnosis import (
 )
 from physid.criticism.leads import read_leads, silence_notes
 from physid.criticism.localisation import where
-from physid.criticism.merit import NOISE_LIKE
+from physid.criticism.merit import LEAST_GAIN, NOISE_LIKE
 from physid.criticism.pictures import diagnosis_curves, tested_curves
 from physid.criticism.refit import start_of, with_candidate
 from physid.effects.catalogue import load_model_text
@@ -55,6 +55,8 @@ from physid.plant.model import Model
 
 EARNED = 0.8
 """Squares on the whole records must fall to this share (the error by a tenth) for an effect to stay."""
+HALF = 0.5
+"""... or what they are beyond noise to this share."""
 MOST_ROUNDS = 4
 """Diagnoses in one refinement at most."""
 
@@ -187,9 +189,18 @@ def _earning_their_place(before: Step, added: Sequence[Step]) -> int:
     best, kept = before.fitted.estimate.squares, 0
     for k, step in enumerate(added, start=1):
         squares = step.fitted.estimate.squares
-        if squares < EARNED * best:
+        if _earned(best, squares, step.fitted.problem.measurements()):
             best, kept = squares, k
     return kept
+
+
+def _earned(before: float, after: float, noise: float) -> bool:
+    """Say whether squares fell clearly: by a fifth, or by most of what was left beyond noise.
+
+    In a long record little is left of each sample beyond noise by what is nonetheless certain.
+    """
+    left = max(after - noise, 0.0) < HALF * (before - noise)
+    return after < EARNED * before or (left and before - after > LEAST_GAIN)
 
 
 def _added_one_by_one(study: Study, tests: Sequence[object], found: Diagnosis) -> list[Step]:

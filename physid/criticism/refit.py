@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -184,6 +184,50 @@ def without_partner(base: Base, pair: Refit, scales: Mapping[Place, Scales]) -> 
         if alone is not None:
             found.append(with_block(base, alone))
     return found
+
+
+def in_other_kinds(base: Base, best: Refit, scales: Mapping[Place, Scales]) -> Refit:
+    """Return a candidate, or a better one in which coefficients that are chosen and not fitted are others.
+
+    They were chosen while a partner was missing, or beside a model that was distorted.
+    """
+    tried = {_kind_of(best.fitted)}
+    while True:
+        for added in _kinds_beside(best.fitted, scales):
+            if _kind_of(added) in tried:
+                continue
+            tried.add(_kind_of(added))
+            other = _in_kind(base, best, added)
+            if other is not None and _better(base, best, other) is other:
+                best = other
+                break
+        else:
+            return best
+
+
+def _kind_of(added: Sequence[Placed]) -> tuple[float, ...]:
+    """Return the values of coefficients that are chosen and not fitted."""
+    return tuple(p.values[c.name] for p in added for c in p.effect.coefficients if c.fixed)
+
+
+def _kinds_beside(
+    added: Sequence[Placed], scales: Mapping[Place, Scales]
+) -> Iterator[tuple[Placed, ...]]:
+    """Yield the effects with one of them of another kind."""
+    for k, placed in enumerate(added):
+        size = scales.get(placed.place)
+        for values in placed.effect.beside(placed.values, size) if size else ():
+            yield (*added[:k], placed.with_values(values), *added[k + 1 :])
+
+
+def _in_kind(base: Base, fit: Refit, added: tuple[Placed, ...]) -> Refit | None:
+    """Fit a candidate's effects with other values of what is not fitted, from where it ended."""
+    inner = base.problems["long"]
+    trial = replace(with_candidate(inner, added), parameters=fit.problem.parameters)
+    fits = _fit_horizons(base, trial, fit.fits["long"].theta, np.inf)
+    if fits is None:
+        return None
+    return with_block(base, replace(fit, added=added, problem=trial, fits=fits))
 
 
 def _seen_from(base: Base, inner: Problem, best: Refit, known: Sequence[Start]) -> list[Start]:

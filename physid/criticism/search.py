@@ -20,7 +20,15 @@ from physid.criticism.merit import (
     score,
 )
 from physid.criticism.pairs import PARTNERS, REFITS, pairs_beside, wanting_partners
-from physid.criticism.refit import Refit, Start, refit, start_of, with_block, without_partner
+from physid.criticism.refit import (
+    Refit,
+    Start,
+    in_other_kinds,
+    refit,
+    start_of,
+    with_block,
+    without_partner,
+)
 from physid.criticism.timing import between_stretches
 from physid.effects.catalogue import effects_of
 from physid.errors import NumericsError
@@ -89,7 +97,16 @@ def search(
     list of Refit
         Best first, those that rival the best at their minimum.
     """
-    return _at_their_minimum(base, _searched(study, base, candidates, report, leads))
+    fits = _searched(study, base, candidates, report, leads)
+    if fits:
+        long = base.problems["long"]
+        sizes = scales_of(long, base.fits["long"]) if _has_kinds(fits[0]) else {}
+        fits[0] = in_other_kinds(base, fits[0], sizes)
+    return _at_their_minimum(base, fits)
+
+
+def _has_kinds(fit: Refit) -> bool:
+    return any(c.fixed for p in fit.added for c in p.effect.coefficients)
 
 
 def _searched(

@@ -134,6 +134,10 @@ class Cogging(Effect):
         numbers = [periods + sign * k for k in steps for sign in (-1, 1)]
         return tuple(ripple_trial(SMALL * scales.force, n) for n in numbers if n > 1)
 
+    def beside(self, values: Mapping[str, float], scales: Scales) -> Sequence[dict[str, float]]:
+        periods = values["periods"]
+        return [{"periods": n} for n in (periods - 1.0, periods + 1.0) if n > 1.0]
+
     def _tried(self, scales: Scales) -> tuple[int, ...]:
         found = list(self.tried)
         most = self.ripples * 2.0 * np.pi / max(scales.travel, 1e-3)

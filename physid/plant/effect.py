@@ -201,6 +201,18 @@ class Effect(ABC):
         """Return shapes around the best one, ever closer with the level (from 1 on); none where no need."""
         return ()
 
+    def beside(self, values: Mapping[str, float], scales: Scales) -> Sequence[dict[str, float]]:
+        """Return other choices of the coefficients that are not fitted, to try where a fit ended.
+
+        A kind chosen while something else was missing, or on windows, may not be the best at the end.
+        """
+        chosen = [c.name for c in self.coefficients if c.fixed]
+        if not chosen:
+            return ()
+        every = {tuple(t.columns[0][name] for name in chosen) for t in self.trials(scales)}
+        every.discard(tuple(values[name] for name in chosen))
+        return [dict(zip(chosen, other, strict=True)) for other in sorted(every)]
+
     def limits(self, scales: Scales) -> Mapping[str, tuple[float, float]]:
         """Return narrower bounds for some coefficients, from how large things are at the place."""
         return {}
