@@ -71,7 +71,7 @@ def diagnose_study(
     study: Study,
     *,
     span: tuple[float, float] = (0.3, 0.95),
-    named: float = NAMED,
+    beside: bool = False,
     leads: Sequence[Lead] = (),
     known: Mapping[str, Estimate] | None = None,
 ) -> Diagnosis:
@@ -83,8 +83,8 @@ def diagnose_study(
         Near its minimum on windows.
     span : (float, float)
         Share of the progress bar this takes.
-    named : float
-        Share of the excess error that an effect must remove to be named.
+    beside : bool
+        Whether effects were found before: then only details can be left, and they are looked for one by one.
     leads : sequence of Lead
         What other results speak for.
     known : mapping of str to Estimate, optional
@@ -104,12 +104,17 @@ def diagnose_study(
     candidates = possible_candidates(study.problem)
     tried = len({*((e.name, p) for e, p in candidates), *sites_of(study.model, possible)})
     fits = search(
-        study, base, candidates, lambda stage, share: report(stage, 0.1 + 0.8 * share), possible
+        study,
+        base,
+        candidates,
+        lambda stage, share: report(stage, 0.1 + 0.8 * share),
+        possible,
+        singly=beside,
     )
     report("judging on data not used for the choice", 0.9)
     judging = benches({h: windows_of(study, h, judging_spans) for h in base.fits}, base)
     ranked = _ranked(base, judging, fits, max(tried, 1))
-    verdict, sentence = _verdict(study, base, ranked, named)
+    verdict, sentence = _verdict(study, base, ranked, NAMED_BESIDE if beside else NAMED)
     report("diagnosed", 1.0)
     long = base.fits["long"].squares / base.problems["long"].measurements()
     return Diagnosis(

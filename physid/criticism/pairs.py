@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from physid.criticism.base import NOISE_ALONE, Base
 from physid.criticism.grounds import grounds_of, screened
-from physid.criticism.merit import explained, halves, noise_like
-from physid.criticism.refit import Refit, refit, with_block
+from physid.criticism.merit import explained, halves, noise_like, score
+from physid.criticism.refit import Refit, Start, refit, start_of, with_block, with_candidate
 from physid.identification.screening import possible_candidates
-from physid.plant.effect import Effect
+from physid.plant.effect import Effect, Scales
 from physid.plant.structure import Place
 
 REFITS = 4
 """Candidates refitted from each of the two screenings."""
 PARTNERS = 3
 """Best single effects that get a partner, and partners tried from each screening."""
+LIKE = 0.8
+"""Share of an effect's gain alone that another at its place must have to be exchanged for it in a pair."""
 WELL_NAMED = 0.95
 """... beyond which no pair is looked for."""
 
@@ -115,6 +117,42 @@ def pairs_beside(
                 found.append(_ordered(base, pair, fits))
         if any(noise_like(base, pair, NOISE_ALONE) for pair in found):
             break  # no pair from a worse single can do better
+    return found
+
+
+def exchanged(
+    base: Base, pair: Refit, singles: Sequence[Refit], scales: Mapping[Place, Scales]
+) -> list[Refit]:
+    """Return pairs in which one effect is exchanged for another that did about as well at its place alone.
+
+    While the other one was missing, a lag and a delay looked the same; beside it they need not.
+    """
+    alone = {f.sites()[0]: f for f in singles if len(f.added) == 1}
+    horizons = ("short", "long")
+    found = []
+    for site, own in zip(pair.sites(), pair.fitted, strict=True):
+        other = next(p for p in pair.fitted if not p.same_site(own))
+        if site not in alone:
+            continue
+        enough = LIKE * score(base, alone[site], horizons)
+        inner = with_candidate(base.problems["long"], (other,))
+        theta = start_of(pair.problem, pair.fits["long"].theta, inner)
+        for single in alone.values():
+            placed = single.fitted[0]
+            if placed.place != own.place or placed.same_site(own):
+                continue
+            if score(base, single, horizons) > enough:
+                continue
+            other_pair = refit(
+                base,
+                inner,
+                [Start(placed, theta)],
+                scales[own.place],
+                rank=pair.rank,
+                already=(other,),
+            )
+            if other_pair is not None:
+                found.append(_ordered(base, with_block(base, other_pair), singles))
     return found
 
 

@@ -27,8 +27,6 @@ from physid.criticism.comparison import (
     parameters_of,
 )
 from physid.criticism.diagnosis import (
-    NAMED,
-    NAMED_BESIDE,
     Diagnosis,
     candidate_rows,
     describe,
@@ -115,10 +113,13 @@ def refine(
     for round_number in range(MOST_ROUNDS):
         width = 0.6 / MOST_ROUNDS
         begin = 0.3 + round_number * width
-        named = NAMED if first is None else NAMED_BESIDE
         try:
             found = diagnose_study(
-                study, span=(begin, begin + width), named=named, leads=leads, known=known
+                study,
+                span=(begin, begin + width),
+                beside=first is not None,
+                leads=leads,
+                known=known,
             )
         except NumericsError:
             if first is None:

@@ -19,7 +19,7 @@ from physid.criticism.merit import (
     quiet_base,
     score,
 )
-from physid.criticism.pairs import PARTNERS, REFITS, pairs_beside, wanting_partners
+from physid.criticism.pairs import PARTNERS, REFITS, exchanged, pairs_beside, wanting_partners
 from physid.criticism.refit import (
     Refit,
     Start,
@@ -78,6 +78,8 @@ def search(
     candidates: Sequence[tuple[Effect, Place]],
     report: Callable[[str, float], None],
     leads: Sequence[Lead] = (),
+    *,
+    singly: bool = False,
 ) -> list[Refit]:
     """Screen all candidates, refit the promising ones, and pair those that need a partner.
 
@@ -91,13 +93,15 @@ def search(
         Told a stage and the share of the search that is done.
     leads : sequence of Lead
         Refitted first, from where they stand.
+    singly : bool
+        Whether no pairs are looked for, because what is found will be looked beside again.
 
     Returns
     -------
     list of Refit
         Best first, those that rival the best at their minimum.
     """
-    fits = _searched(study, base, candidates, report, leads)
+    fits = _searched(study, base, candidates, report, leads, singly)
     if fits:
         long = base.problems["long"]
         sizes = scales_of(long, base.fits["long"]) if _has_kinds(fits[0]) else {}
@@ -115,6 +119,7 @@ def _searched(
     candidates: Sequence[tuple[Effect, Place]],
     report: Callable[[str, float], None],
     leads: Sequence[Lead],
+    singly: bool,
 ) -> list[Refit]:
     """Search with fits that end where they tell the promising from the rest."""
     report(f"screening {len(candidates)} candidates", 0.0)
@@ -160,18 +165,20 @@ def _searched(
         least = fits[0].fits["long"].squares
         fits += [f for k in later for f in _refitted(base, long, kept, groups[k], k, limit, least)]
         fits = _best_with_blocks(base, _better_of(fits, base), scales)
-    partnered = wanting_partners(base, fits)
+    partnered = [] if singly else wanting_partners(base, fits)
     if not partnered:
         return fits
     report("trying pairs", 0.7)
+    singles = fits
     pairs = pairs_beside(base, fits, partnered, candidates, limit)
     if pairs:
         fits = _with_siblings(base, [*fits, *pairs], scales)
     fits = _best_with_blocks(base, fits, scales)
     if not fits or len(fits[0].added) < 2:
         return fits
-    alone = without_partner(base, fits[0], scales)
-    return _best_with_blocks(base, _better_of([*fits, *alone], base), scales)
+    others = exchanged(base, fits[0], singles, scales)
+    others += without_partner(base, fits[0], scales)
+    return _best_with_blocks(base, _better_of([*fits, *others], base), scales)
 
 
 def _at_their_minimum(base: Base, fits: list[Refit]) -> list[Refit]:
