@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -43,9 +43,34 @@ def _freedom(windowed: Problem, problem: Problem) -> int:
 
 
 def effective_samples(base: Base, fit: Refit, horizon: str) -> float:
-    """Return the number of independent samples in a candidate's residual at a horizon."""
+    """Return the number of independent samples in a candidate's residual at a horizon.
+
+    Not fewer than in the base's: what is left of a residual a thousand times smaller may be of one colour, and
+    would weigh less than what hardly lowers it.
+    """
     problem = base.problems[horizon]
-    return problem.measurements() / colour(problem, fit.fits[horizon])
+    width = min(colour(problem, e) for e in (fit.fits[horizon], base.fits[horizon]))
+    return problem.measurements() / width
+
+
+def ordered(base: Base, fits: Iterable[Refit]) -> list[Refit]:
+    """Return candidates best first by their scores over all horizons.
+
+    What remembers starts every window as it likes, and may imitate there what it does not do over long
+    stretches: it comes first only if it does over the longest as well, where its initial states tell least.
+    """
+    found = sorted(fits, key=lambda f: score(base, f, tuple(base.fits)))
+    longest = ("block",) if "block" in base.fits else ("long",)
+    if not found or not _remembers(found[0]):
+        return found
+    for k, fit in enumerate(found):
+        if not _remembers(fit) and score(base, fit, longest) < score(base, found[0], longest):
+            return [fit, *found[:k], *found[k + 1 :]]
+    return found
+
+
+def _remembers(fit: Refit) -> bool:
+    return any(p.effect.memory for p in fit.added)
 
 
 def noise_like(base: Base, fit: Refit, factor: float = NOISE_LIKE) -> bool:

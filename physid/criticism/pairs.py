@@ -12,7 +12,7 @@ from physid.criticism.grounds import grounds_of, screened
 from physid.criticism.merit import explained, halves, noise_like, score
 from physid.criticism.refit import Refit, Start, refit, start_of, with_block, with_candidate
 from physid.identification.screening import possible_candidates
-from physid.plant.effect import Effect, Scales
+from physid.plant.effect import Effect, Placed, Scales
 from physid.plant.structure import Place
 
 REFITS = 4
@@ -120,6 +120,16 @@ def pairs_beside(
     return found
 
 
+def _overlap(one: Placed, other: Placed) -> bool:
+    """Say whether one of two effects is or contains the other at its place."""
+    names = one.effect.name, other.effect.name
+    return one.place == other.place and (
+        names[0] == names[1]
+        or names[0] in other.effect.supersedes
+        or names[1] in one.effect.supersedes
+    )
+
+
 def exchanged(
     base: Base, pair: Refit, singles: Sequence[Refit], scales: Mapping[Place, Scales]
 ) -> list[Refit]:
@@ -139,7 +149,7 @@ def exchanged(
         theta = start_of(pair.problem, pair.fits["long"].theta, inner)
         for single in alone.values():
             placed = single.fitted[0]
-            if placed.place != own.place or placed.same_site(own):
+            if placed.place != own.place or placed.same_site(own) or _overlap(placed, other):
                 continue
             if score(base, single, horizons) > enough:
                 continue

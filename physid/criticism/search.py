@@ -16,6 +16,7 @@ from physid.criticism.merit import (
     LEAST_GAIN,
     NOISE_LIKE,
     noise_like,
+    ordered,
     quiet_base,
     score,
 )
@@ -189,7 +190,7 @@ def _at_their_minimum(base: Base, fits: list[Refit]) -> list[Refit]:
     if len(rivals) < 2:
         return fits
     done = [_fitted_on(base, f) if any(f is r for r in rivals) else f for f in fits]
-    return sorted(done, key=lambda f: score(base, f, tuple(base.fits)))
+    return ordered(base, done)
 
 
 def _rivals(fit: Refit, best: Refit) -> bool:
@@ -415,12 +416,12 @@ def _best_with_blocks(
 ) -> list[Refit]:
     """Keep the best candidates on windows, fit those on whole stretches, and sort them all."""
     horizons = ("short", "long")
-    ordered = sorted(fits, key=lambda f: score(base, f, horizons))
-    clear = bool(ordered) and score(base, ordered[0], horizons) < -LEAST_GAIN
-    promising = ordered[: SHOWN if clear else FEW]
+    by_windows = sorted(fits, key=lambda f: score(base, f, horizons))
+    clear = bool(by_windows) and score(base, by_windows[0], horizons) < -LEAST_GAIN
+    promising = by_windows[: SHOWN if clear else FEW]
     done: list[Refit] = []
     for fit in promising:
         known = "block" in fit.fits or "block" not in base.fits
         done.append(fit if known else with_block(base, fit, _goal(base, done, "block")))
     kept = [f for f in done if f.plausible(scales)]
-    return sorted(kept, key=lambda f: score(base, f, tuple(base.fits)))
+    return ordered(base, kept)
