@@ -143,3 +143,17 @@ def test_a_second_look_that_diverges_ends_no_study(slider, records, monkeypatch)
     assert len(found["steps"]) == 2
     assert found["steps"][1]["test"] == {}
     assert any("diverges along the test records" in n for n in found["notes"])
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "earned"),
+    [
+        (100_000.0, 79_000.0, True),  # a fifth of all squares
+        (58_673.0, 48_438.0, True),  # 96 % of what was left beyond the noise of 48000
+        (58_673.0, 54_000.0, False),  # 44 % of it
+        (48_011.0, 48_000.0, False),  # no more than chance
+        (47_000.0, 46_000.0, False),  # nothing was left
+    ],
+)
+def test_an_effect_earns_its_place_by_what_was_left_beyond_noise(before, after, earned):
+    assert refinement._earned(before, after, 48_000.0) is earned

@@ -9,7 +9,15 @@ import pytest
 from physid.criticism import merit, pairs, search
 from physid.criticism import refit as refitting
 from physid.criticism.grounds import Group
-from physid.criticism.refit import Start, _seen_from, alike, refit, with_block, without_partner
+from physid.criticism.refit import (
+    Start,
+    _seen_from,
+    alike,
+    in_other_kinds,
+    refit,
+    with_block,
+    without_partner,
+)
 from physid.effects.catalogue import CATALOGUE
 from physid.errors import DivergedError
 from physid.identification.problem import residuals_of
@@ -213,10 +221,10 @@ def test_windows_shorten_until_the_base_can_be_followed(rubbing, monkeypatch):
     longest = rubbing.base.problems["long"].windows[0].samples
     fit = search.fit_windows
 
-    def followed(problem, theta):
+    def followed(problem, theta, states=None):
         if problem.windows[0].samples > 0.6 * longest:
             raise DivergedError("It runs away.")
-        return fit(problem, theta)
+        return fit(problem, theta, states)
 
     monkeypatch.setattr(search, "fit_windows", followed)
     base = search.base_of(rubbing.study)
@@ -253,3 +261,113 @@ def test_candidates_that_rival_the_best_are_compared_at_their_minimum(rubbing):
         after.chi2 <= before.chi2
         for after, before in zip(done[0].fits.values(), found.fits.values(), strict=True)
     )
+
+
+def test_a_base_that_was_fitted_before_is_fitted_on_from_there(rubbing):
+    again = search.base_of(rubbing.study, rubbing.base.fits)
+    assert set(again.fits) == set(rubbing.base.fits)
+    for horizon, fit in again.fits.items():
+        assert fit.squares == pytest.approx(rubbing.base.fits[horizon].squares, rel=1e-3)
+    other_windows = dict.fromkeys(rubbing.base.fits, rubbing.base.fits["long"])
+    fresh = search.base_of(rubbing.study, other_windows)
+    assert fresh.fits["short"].squares == pytest.approx(again.fits["short"].squares, rel=1e-3)
+
+
+def test_second_looks_look_for_no_pairs(rubbing, monkeypatch):
+    candidates = [(EFFECTS["quadratic_drag"], HINGE)]
+    monkeypatch.setattr(search, "wanting_partners", lambda base, fits: fits[:1])
+    tried = []
+    monkeypatch.setattr(search, "pairs_beside", lambda *a: tried.append(1) or [])
+    search.search(rubbing.study, rubbing.base, candidates, lambda *_: None, singly=True)
+    assert not tried
+    search.search(rubbing.study, rubbing.base, candidates, lambda *_: None)
+    assert tried
+
+
+def test_what_remembers_leads_only_if_it_does_over_the_longest_stretches(monkeypatch):
+    mode = refit_of("unmodelled_mode", Place("body", "pendulum"))
+    friction, drag = refit_of("coulomb_friction"), refit_of("quadratic_drag")
+    over_all = {id(mode): -90.0, id(friction): -50.0, id(drag): -60.0}
+    longest = {id(mode): -20.0, id(friction): -30.0, id(drag): -10.0}
+    monkeypatch.setattr(
+        merit, "score", lambda b, f, hs: (longest if len(hs) == 1 else over_all)[id(f)]
+    )
+    base = SimpleNamespace(fits={"short": None, "long": None, "block": None})
+    assert merit.ordered(base, [friction, mode, drag]) == [friction, mode, drag]
+    longest[id(mode)] = -40.0
+    assert merit.ordered(base, [friction, mode, drag]) == [mode, drag, friction]
+    assert merit.ordered(base, [friction, drag]) == [drag, friction]
+    assert merit.ordered(base, []) == []
+
+
+def test_a_residual_of_one_colour_weighs_no_less_than_the_base(rubbing):
+    base, found = rubbing.base, refitted(rubbing)
+    n = base.problems["long"].measurements()
+    slow = [np.cumsum(r, axis=1) for r in found.fits["long"].residuals]
+    coloured = replace(
+        found, fits=found.fits | {"long": replace(found.fits["long"], residuals=slow)}
+    )
+    own = merit.colour(base.problems["long"], coloured.fits["long"])
+    its = merit.colour(base.problems["long"], base.fits["long"])
+    assert merit.effective_samples(base, coloured, "long") == pytest.approx(n / min(own, its))
+    assert merit.effective_samples(base, found, "long") > 0.5 * n
+
+
+def test_chosen_coefficients_are_tried_beside_those_a_screening_chose(tmp_path):
+    case = draw("pendulum_servo", "cogging", "hinge", 0.003, seed=5, seconds=(4.0, 4.0))
+    write(make(case), tmp_path)
+    fit = case.fit if case.fit == "auto" else list(case.fit)
+    study = prepare(tmp_path / "model.xml", [tmp_path / "train.csv"], Options(fit=fit))
+    base = search.base_of(study)
+    long = base.problems["long"]
+    scales = scales_of(long, base.fits["long"])
+    scored = screen(long, base.fits["long"], [(EFFECTS["cogging"], HINGE)])
+    right = refit(base, long, starts_of(scored), scales[HINGE], rank=0)
+    periods = right.fitted[0].values["periods"]
+    start = Start(right.fitted[0].with_values({"periods": periods + 2.0}), base.fits["long"].theta)
+    wrong = refit(base, long, [start], scales[HINGE], rank=0)
+    assert wrong.fits["long"].squares > 1.5 * right.fits["long"].squares
+    found = in_other_kinds(base, wrong, scales)
+    assert found.fitted[0].values["periods"] == periods
+    assert found.fits["long"].squares < 1.1 * right.fits["long"].squares
+    assert in_other_kinds(base, right, scales) is right
+
+
+def test_values_to_try_beside_those_chosen(rubbing):
+    size = rubbing.scales[HINGE]
+    assert EFFECTS["cogging"].beside({"periods": 260.0}, size) == [
+        {"periods": 259.0},
+        {"periods": 261.0},
+    ]
+    assert EFFECTS["cogging"].beside({"periods": 2.0}, size) == [{"periods": 3.0}]
+    others = EFFECTS["hysteresis"].beside({"exponent": 2.0}, size)
+    assert others == [{"exponent": 1.0}, {"exponent": 5.0}]
+    assert EFFECTS["coulomb_friction"].beside({"force": 1.0}, size) == ()
+
+
+def test_an_effect_of_a_pair_is_exchanged_for_what_did_as_well_alone(rubbing, monkeypatch):
+    """Of the singles at its place, those with most of its gain; none that contains the other one."""
+    first = refitted(rubbing)
+    scale = rubbing.scales[HINGE]
+    inner = refitting.with_candidate(rubbing.base.problems["long"], first.fitted)
+    theta = first.fits["long"].theta
+    drag = Start(Placed(EFFECTS["quadratic_drag"], HINGE, {"drag": 1e-4}), theta)
+    pair = refit(rubbing.base, inner, [drag], scale, rank=1, already=first.fitted)
+    long = rubbing.base.problems["long"]
+    own = rubbing.base.fits["long"].theta
+    others = {"quadratic_drag": {"drag": 1e-4}, "switched_damping": {"factor": 2.0, "speed": 1.0}}
+    singles = [first]
+    for rank, (name, values) in enumerate(others.items(), start=1):
+        start = Start(Placed(EFFECTS[name], HINGE, values), own)
+        singles.append(refit(rubbing.base, long, [start], scale, rank=rank))
+    tried = []
+
+    def spied(base, inside, starts, scales, *, rank, already):
+        tried.append((already[0].effect.name, starts[0].placed.effect.name))
+
+    monkeypatch.setattr(pairs, "refit", spied)
+    monkeypatch.setattr(pairs, "score", lambda base, fit, horizons: -100.0)
+    assert pairs.exchanged(rubbing.base, pair, singles, rubbing.scales) == []
+    assert ("coulomb_friction", "switched_damping") in tried
+    assert ("quadratic_drag", "switched_damping") in tried
+    assert not any(one == other for one, other in tried)

@@ -6,16 +6,20 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from physid.effects.catalogue import CATALOGUE
 from physid.errors import DivergedError
 from physid.identification import fitting, output_error
 from physid.identification.accuracy import refine_steps
 from physid.identification.columns import columns_of
-from physid.identification.linearisation import linearise
+from physid.identification.instants import in_the_best_valley
+from physid.identification.linearisation import linearise, reduce
 from physid.identification.output_error import minimise
 from physid.identification.problem import residuals_of, with_activations
 from physid.identification.staged import thinned, windowed
 from physid.identification.study import Options, Study
 from physid.identification.windows import cut, initial_states, whole
+from physid.plant.effect import Placed
+from physid.plant.structure import Place
 from tests.plant.rigs import PENDULUM, SERVOS, inputs_for, load_text, oscillator, plain, run
 
 from .rigs import (
@@ -356,3 +360,72 @@ def test_a_shortened_step_that_keeps_little_of_a_small_promise_ends_a_fit(
 ):
     step = output_error._Step(np.zeros(1), [], [], 0.0, [], predicted, full)
     assert output_error._at_kinks(step, fall, 3.0) is ends
+
+
+HANGING = """
+<mujoco><option timestep="0.001" gravity="0 0 0"><flag contact="disable"/></option>
+<worldbody><body name="arm"><joint name="pivot" axis="0 1 0" damping="0.05" stiffness="13"
+  armature="0.05"/><geom size="0.05" mass="0.1"/></body></worldbody>
+<actuator><motor name="motor" joint="pivot"/></actuator>
+<sensor><jointpos name="angle" joint="pivot"/></sensor></mujoco>
+"""
+
+
+def test_a_fit_along_a_curved_valley_does_not_creep(monkeypatch):
+    """Of small angles an imbalance's phase shows as little as its part beside the spring does."""
+    model, placed = added(load_text(HANGING), "gravity_imbalance", "pivot")
+    truth = {"amplitude": 0.389, "phase": -2.241}
+    model = model.with_effect(placed.with_values(truth))
+    names = ["pivot.stiffness", "pivot.damping", *model.effect_parameters()]
+    u = held_input(1500, level=0.8)
+    still = problem_of(model, [experiment(u, np.zeros((1500, 1)), 0.01)], 1.0, names)
+    y = -residuals_of(still, [still.start()], [[np.zeros((1, 2))]])[0][0][0]
+    noise = 3e-5 * np.random.default_rng(5).standard_normal(y.shape)
+    problem = problem_of(model, [experiment(u, y + noise, 0.01)], 3e-5, names)
+    start = problem.start() + np.array([0.313, 0.0, -0.074, 0.935])
+    found = minimise(problem, start, iterations=30, tolerance=1e-6)
+    at_truth = minimise(problem, tolerance=1e-8)
+    assert found.squares < at_truth.squares + 2.0
+    monkeypatch.setattr(output_error, "_into_the_valley", lambda *_: None)
+    creeping = minimise(problem, start, iterations=30, tolerance=1e-6)
+    assert creeping.squares > found.squares + 20.0
+
+
+def test_what_is_left_beyond_a_promise_is_the_curvature():
+    problem = spring_problem(sigma=1e-4, factor=1.1)
+    theta, states = problem.start(), problem.states()
+    before = residuals_of(problem, [theta], [states])[0]
+    point, curved = reduce(problem, theta, states, before), []
+    for size in (1e-2, 2e-2):
+        change = size * theta
+        after = residuals_of(problem, [theta + change], [states])[0]
+        bent = point.beyond([np.zeros((1, 2))], change, before, after)
+        curved.append(np.sqrt(bent.squares) / size**2)
+    assert curved[1] == pytest.approx(curved[0], rel=0.1)
+
+
+def test_an_instant_is_looked_for_in_the_neighbouring_valleys():
+    """A spring that changes a swing later does nearly the same."""
+    model = load_text(oscillator())
+    model, placed = added(model.with_values(TRUTH), "stiffness_change", "rail")
+    model = model.with_effect(placed.with_values({"factor": 0.7, "time": 2.5}))
+    names = ["rail.stiffness", "rail.damping", *model.effect_parameters()]
+    u = np.zeros((500, 1))
+    still = problem_of(model, [experiment(u, np.zeros((500, 1)), 0.01)], 1.0, names)
+    y = -residuals_of(still, [still.start()], [[np.array([[0.05, 0.0]])]])[0][0][0]
+    noise = 1e-3 * np.random.default_rng(6).standard_normal(y.shape)
+    problem = problem_of(model, [experiment(u, y + noise, 0.01)], 1e-3, names)
+    astray = minimise(problem, problem.start() + np.array([0.0, 0.0, 0.0, 0.45]), iterations=40)
+    assert abs(astray.theta[3] - 2.5) > 0.1
+    found = in_the_best_valley(problem, astray, 1e-6)
+    assert found.theta[3] == pytest.approx(2.5, abs=0.01)
+    assert found.squares == pytest.approx(500, rel=0.2)
+    plain_fit = minimise(spring_problem())
+    assert in_the_best_valley(spring_problem(), plain_fit, 1e-6) is plain_fit
+
+
+def added(model, effect, place):
+    """Return the model and an effect at a place of it, with starting values."""
+    found = next(e for e in CATALOGUE if e.name == effect)
+    values = {c.name: 1.0 for c in found.coefficients}
+    return model, Placed(found, Place("joint", place), values)

@@ -14,7 +14,7 @@ from tests.truth.catalogue import EFFECTS, Hidden, places, slot, with_hidden
 from tests.truth.chains import chain
 from tests.truth.machines import RIGS, plant_of, two_wheel_robot
 from tests.truth.running import Setup, stabilising
-from tests.truth.trials import KINDS, Trial, draw, make
+from tests.truth.trials import KINDS, Trial, _held, draw, make, setup_of
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "hidden_effects.py"
 QUICK = ("oscillator",)
@@ -76,6 +76,18 @@ def test_the_robot_stands_under_its_controller():
     assert np.std(run.inputs) > 0.1
     quiet = setup.run("train", (), quiet=True)
     assert not np.array_equal(run.inputs, quiet.inputs)  # noise is fed back
+
+
+def test_a_robot_that_fell_over_is_no_case():
+    """Its model has no floor: with this damper it whirled about its axle at 237 rad/s."""
+    trial = draw(6, 0, rigs=("two_wheel_robot",))
+    setup = setup_of(trial)
+    ground = SimpleNamespace(bare=setup.run("train", (), quiet=True, substeps=4))
+    for factor, held in ((1.01, True), (6.81, False)):
+        values = {"factor": factor, "speed": 2.18}
+        hidden = Hidden(effect="switched_damping", location="wheel", parameters=values)
+        run = setup.run("train", (hidden,), quiet=True, substeps=4)
+        assert _held(setup, ground, run) is held
 
 
 def test_chains_have_one_to_five_joints():
