@@ -114,7 +114,10 @@ class SwitchedDamping(Effect):
     kinds = ("joint", "tendon")
     representation = "runtime"
     coefficients = (
-        Coefficient(name="factor", unit="1", meaning="damping beyond the speed over that below"),
+        # A thousand times the damping is a wall; beyond, the model's own loses its meaning.
+        Coefficient(
+            name="factor", unit="1", meaning="damping beyond the speed over that below", upper=1e3
+        ),
         Coefficient(name="speed", unit="{v}", meaning="at which it switches", shape=True),
     )
     speeds: ClassVar[tuple[float, ...]] = (0.2, 0.5, 0.8, 1.2, 1.8)

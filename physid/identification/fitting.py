@@ -192,9 +192,13 @@ def confirmed(problem: Problem, estimate: Estimate, error: float) -> Fitted:
 
 
 def _largest_difference(one: Problem, other: Problem, at: Estimate) -> float:
-    """Return the largest difference of two problems' residuals, of which none is held whole."""
+    """Return the largest difference of two problems' residuals, of which none is held whole.
+
+    Infinite after a divergence.
+    """
     runs = [blocks_of(p, [at.theta], [at.states]) for p in (one, other)]
-    return max(float(np.nanmax(np.abs(a - b))) for (_, [a]), (_, [b]) in zip(*runs, strict=True))
+    apart = [float(np.abs(a - b).max()) for (_, [a]), (_, [b]) in zip(*runs, strict=True)]
+    return max(a if np.isfinite(a) else np.inf for a in apart)
 
 
 def _on_engine(problem: Problem) -> Problem:
