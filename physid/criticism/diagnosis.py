@@ -128,14 +128,14 @@ def diagnose_study(
     )
 
 
-def with_effects(study: Study, candidate: Candidate) -> Study:
-    """Return the study with a candidate's effects in its model, at the values fitted on long windows.
+def with_effects(study: Study, candidate: Candidate, horizon: str = "long") -> Study:
+    """Return the study with a candidate's effects in its model, at the values fitted at a horizon.
 
     Those on whole stretches are nearer where they are right, but may be in a minimum of their own.
     """
     fit = candidate.refit
     problem = fit.problem.with_windows(study.problem.windows)
-    return replace(study, problem=problem, theta=fit.fits["long"].theta, states=None)
+    return replace(study, problem=problem, theta=fit.fits[horizon].theta, states=None)
 
 
 def candidate_rows(study: Study, found: Diagnosis) -> list[dict[str, Any]]:

@@ -27,6 +27,7 @@ from physid.criticism.comparison import (
     parameters_of,
 )
 from physid.criticism.diagnosis import (
+    Candidate,
     Diagnosis,
     candidate_rows,
     describe,
@@ -132,7 +133,7 @@ def refine(
         remaining = found.verdict
         if found.verdict != "effect_missing":
             break
-        added = _added_one_by_one(study, tests, found)
+        added = _added_one_by_one(study, tests, found, steps[-1])
         kept = _earning_their_place(steps[-1], added)
         steps += added[:kept]
         if kept:
@@ -204,7 +205,9 @@ def _earned(before: float, after: float, noise: float) -> bool:
     return after < EARNED * before or (left and before - after > LEAST_GAIN)
 
 
-def _added_one_by_one(study: Study, tests: Sequence[object], found: Diagnosis) -> list[Step]:
+def _added_one_by_one(
+    study: Study, tests: Sequence[object], found: Diagnosis, before: Step
+) -> list[Step]:
     """Add a candidate's effects in their order, refitting after each, so that each one's part shows.
 
     One with which whole records cannot be fitted is shown with the next; the last such one is left out.
@@ -223,10 +226,34 @@ def _added_one_by_one(study: Study, tests: Sequence[object], found: Diagnosis) -
         with suppress(NumericsError):
             steps.append(_step(part, tests, waiting, p_value))
             waiting = ()
-    with suppress(NumericsError):
-        whole_step = _step(with_effects(study, best), tests, (*waiting, placed[-1]), best.p_value)
-        return [*steps, whole_step]
-    return []
+    last = _all_added(study, tests, best, (*waiting, placed[-1]), steps[-1] if steps else before)
+    return [] if last is None else [*steps, last]
+
+
+def _all_added(
+    study: Study,
+    tests: Sequence[object],
+    best: Candidate,
+    added: tuple[Placed, ...],
+    before: Step,
+) -> Step | None:
+    """Fit a candidate's effects from where they earn their place; None where whole records cannot be fitted.
+
+    On long windows a fit may have lost what it finds on whole stretches or on short ones.
+    """
+    found: Step | None = None
+    for horizon in ("long", "block", "short"):
+        if horizon not in best.refit.fits:
+            continue
+        with suppress(NumericsError):
+            step = _step(with_effects(study, best, horizon), tests, added, best.p_value)
+            if found is None or step.fitted.estimate.squares < found.fitted.estimate.squares:
+                found = step
+            fitted = found.fitted
+            squares = before.fitted.estimate.squares, fitted.estimate.squares
+            if _earned(*squares, fitted.problem.measurements()):
+                break
+    return found
 
 
 def _step(
