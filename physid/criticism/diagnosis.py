@@ -24,7 +24,9 @@ LEAST_SHARE = 0.02
 """Smallest share of the squares that a named effect removes."""
 CHANCE = 0.01
 """Corrected p-value above which nothing is claimed."""
-NAMED = 0.75
+CERTAIN = 1e-6
+"""... and of what leaves more than noise, which only imitates part of what is missing if it is not missing itself."""
+NAMED = 0.9
 """Share of the excess error a single effect or a pair must remove to be named."""
 NAMED_BESIDE = 0.3
 """... where the model was refined before and only details can be left."""
@@ -204,7 +206,7 @@ def _verdict(
     if ranked and _real(base, ranked[0]):
         best = ranked[0]
         after = best.refit.fits["long"].squares / base.problems["long"].measurements()
-        if best.explained >= named or after < NOISE_LIKE:
+        if after < NOISE_LIKE or (best.explained >= named and best.p_value < CERTAIN):
             return "effect_missing", _missing_sentence(study, best)
         return "unexplained", (
             "Something is missing that no effect of the catalogue explains: the best candidate, "
