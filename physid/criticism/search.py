@@ -313,8 +313,7 @@ def base_of(study: Study, known: Mapping[str, Estimate] | None = None) -> Base:
         fits = _fitted_afresh(study, problems)
     if "block" not in fits and _much_longer(problems["block"], problems["long"]):
         with suppress(NumericsError):
-            states = followed(problems["block"], fits["long"].theta)
-            fits["block"] = fit_windows(problems["block"], fits["long"].theta, states)
+            fits["block"] = _fitted_from(problems["block"], fits["long"].theta)
     if "block" in fits and float(np.max(nrmse(problems["block"], fits["block"]))) >= 1.0:
         fits.pop("block")
     points = {}
@@ -324,6 +323,11 @@ def base_of(study: Study, known: Mapping[str, Estimate] | None = None) -> Base:
     if "block" not in points:
         fits.pop("block", None)
     return Base(problems=problems, fits=fits, points=points).with_few()
+
+
+def _fitted_from(problem: Problem, theta: np.ndarray) -> Estimate:
+    """Fit windows from parameters, and from states that follow them there where the model runs away."""
+    return fit_windows(problem, theta, followed(problem, theta))
 
 
 def _fitted_before(
@@ -342,14 +346,14 @@ def _fitted_before(
 def _fitted_afresh(study: Study, problems: dict[str, Problem]) -> dict[str, Estimate]:
     """Fit windows; the long ones are made shorter where the model cannot be followed over them."""
     try:
-        long = fit_windows(problems["long"], study.theta)
+        long = _fitted_from(problems["long"], study.theta)
     except NumericsError:
         # What runs away over long windows may be followed over shorter ones, and from a better start.
         theta = fit_windows(problems["short"], study.theta).theta
         problems["long"], long = _followed(study, problems["long"], theta)
     fits = {"short": fit_windows(problems["short"], long.theta), "long": long}
     if quick(problems["long"]):
-        again = fit_windows(problems["long"], fits["short"].theta)
+        again = _fitted_from(problems["long"], fits["short"].theta)
         fits["long"] = min(long, again, key=lambda e: e.chi2)
     return fits
 
