@@ -33,6 +33,8 @@ WHOLE = 80
 """Linearisations of a fit of whole records at most; along curved valleys many steps are short."""
 LEAST_BEGINNING = 40
 """Samples below which the beginning of a window is not fitted by itself."""
+VANISHED = 1e-2
+"""Share of its own value below which the force balance lost a mass or a spring."""
 ENOUGH = 5000
 """Samples used while a start is looked for."""
 SETTLED, SETTLED_ON_ENGINE = 1.15, 1.5
@@ -253,7 +255,11 @@ def _distinct(points: Sequence[np.ndarray]) -> list[np.ndarray]:
 
 
 def _from_force_balance(problem: Problem) -> Iterator[np.ndarray]:
-    """Yield the estimates of the force balance, those of the middling widths first."""
+    """Yield the estimates of the force balance, those of the middling widths first.
+
+    Noise in what forces are regressed on shrinks them.  Where it took a mass and its springs away together, hardly
+    anything leads a fit back: what hangs there still moves right, and no longer pulls at the rest.
+    """
     experiments = [w.experiment for w in problem.windows]
     if not all(observable(problem.model, e) for e in experiments):
         return
@@ -261,7 +267,7 @@ def _from_force_balance(problem: Problem) -> Iterator[np.ndarray]:
     tried = widths(experiments)
     for k in np.argsort(np.abs(np.arange(len(tried)) - len(tried) // 2), kind="stable"):
         try:
-            yield solve_balance(
+            theta = solve_balance(
                 problem.model,
                 problem.parameters,
                 experiments,
@@ -271,6 +277,16 @@ def _from_force_balance(problem: Problem) -> Iterator[np.ndarray]:
             ).theta
         except (np.linalg.LinAlgError, ValueError, ModelError):
             continue
+        if not _vanished(problem, theta):
+            yield theta
+
+
+def _vanished(problem: Problem, theta: np.ndarray) -> bool:
+    """Say whether a mass or a spring the model has is all but gone."""
+    return any(
+        p.name.endswith((".mass", ".stiffness")) and abs(t) < VANISHED * abs(p.value)
+        for p, t in zip(problem.parameters, theta, strict=True)
+    )
 
 
 def _frozen(problem: Problem, theta: np.ndarray) -> Problem:
