@@ -83,7 +83,7 @@ def single(seed: int, number: int, folder: Path, *, rigs: Sequence[str] = ()) ->
     """Test one effect at one place, chosen before the data are seen, where nothing is missing."""
     from physid.criticism.diagnosis import benches, judge, judging_spans
     from physid.criticism.refit import Start, refit
-    from physid.criticism.search import base_of, windows_of
+    from physid.criticism.search import base_of, sharpened, windows_of
     from physid.identification.screening import possible_candidates, screen
     from physid.identification.study import Options, prepare
 
@@ -91,23 +91,25 @@ def single(seed: int, number: int, folder: Path, *, rigs: Sequence[str] = ()) ->
     write(make(trial), folder)
     fit = list(trial.fit) or "auto"
     ready = prepare(folder / "model.xml", [folder / "train.csv"], Options(fit=fit, seed=trial.seed))
+    ready = sharpened(ready)
     base, candidates = base_of(ready), possible_candidates(ready.problem)
-    chosen = candidates[int(np.random.default_rng(trial.seed).integers(len(candidates)))]
-    shapes = screen(base.problems["long"], base.fits["long"], [chosen])
-    line: Line = {
+    judging = benches({h: windows_of(ready, h, judging_spans) for h in base.fits}, base)
+    # What cannot be fitted, or is no longer itself at what is fitted, is never judged.
+    for k in np.random.default_rng(trial.seed).permutation(len(candidates)):
+        shapes = screen(base.problems["long"], base.fits["long"], [candidates[k]])
+        starts = [Start(s.start, s.theta) for s in shapes]
+        long = base.problems["long"]
+        fitted = refit(base, long, starts, shapes[0].scales, rank=0) if starts else None
+        if fitted is not None:
+            break
+    else:
+        raise RuntimeError(f"No effect could be fitted in case {number}.")
+    return {
         "number": number,
-        "case": f"{trial.rig} {chosen[0].name}",
+        "case": f"{trial.rig} {candidates[k][0].name}",
         "error": None,
-        "p": 1.0,
+        "p": judge(judging, fitted).p_value,
     }
-    starts = [Start(s.start, s.theta) for s in shapes]
-    fitted = (
-        refit(base, base.problems["long"], starts, shapes[0].scales, rank=0) if starts else None
-    )
-    if fitted is not None:
-        judging = benches({h: windows_of(ready, h, judging_spans) for h in base.fits}, base)
-        line["p"] = judge(judging, fitted).p_value
-    return line
 
 
 def numbers(text: str) -> range:

@@ -10,13 +10,13 @@ import numpy as np
 
 from physid.criticism.account import effect_row, finite
 from physid.criticism.base import Base, judging_spans
-from physid.criticism.evidence import Judgement, benches, judge
+from physid.criticism.evidence import Bench, Judgement, benches, judge
 from physid.criticism.leads import Lead, lead_notes, possible_leads, sites_of
 from physid.criticism.merit import LEAST_GAIN, NOISE_LIKE, explained, score
 from physid.criticism.refit import Refit
-from physid.criticism.search import base_of, search, windows_of
+from physid.criticism.search import base_of, search, sharpened, windows_of
 from physid.identification.estimate import Estimate
-from physid.identification.screening import Ground, possible_candidates
+from physid.identification.screening import possible_candidates
 from physid.identification.study import Study
 
 Verdict = Literal["effect_missing", "nothing_missing", "unexplained"]
@@ -100,6 +100,7 @@ def diagnose_study(
     def report(stage: str, share: float) -> None:
         study.options.report(stage, span[0] + (span[1] - span[0]) * share)
 
+    study = sharpened(study)
     possible = possible_leads(study, leads)
     report("fitting the model as it stands", 0.0)
     base = base_of(study, known)
@@ -170,7 +171,7 @@ def candidate_rows(study: Study, found: Diagnosis) -> list[dict[str, Any]]:
 
 
 def _ranked(
-    base: Base, judging: Mapping[str, Ground], fits: Sequence[Refit], tried: int
+    base: Base, judging: Mapping[str, Bench], fits: Sequence[Refit], tried: int
 ) -> list[Candidate]:
     out = []
     for fit in fits:
