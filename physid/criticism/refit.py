@@ -156,6 +156,11 @@ def refit(
         # A fit that ends worse than the model it contains has lost its way.
         rest = [s for s in every if s not in promising]
         best = _better(base, best, _best_of(base, inner, rest, scales, rank, already, goal))
+    if best is None:
+        # Parameters moved to make room for an effect may be where nothing can be simulated.
+        unmoved = start_of(base.problems["long"], base.fits["long"].theta, inner)
+        still = [Start(s.placed, unmoved) for s in starts[:1]]
+        best = _best_of(base, inner, still, scales, rank, already, goal)
     shaped = any(c.shape or c.fixed for c in starts[0].placed.effect.coefficients)
     if best is None or not shaped or base.leaves_noise(best.fits):
         return best
