@@ -21,7 +21,7 @@ from physid.identification.nearby import nearby
 from physid.identification.preselection import preselected
 from physid.identification.problem import Problem
 from physid.identification.screening import Scored, screen, shortlist
-from physid.identification.staged import quick, states_only
+from physid.identification.staged import quick, states_only, vanished
 from physid.identification.study import Study
 from physid.plant.effect import Effect, Scales
 from physid.plant.structure import Place
@@ -74,9 +74,9 @@ def undistorted(study: Study, problem: Problem) -> Estimate:
     the start, from the force balance or short windows, is nearer the truth.  Where even that has run
     away along a valley, the model's own values are.
     """
-    nominal = problem.start()
     size = np.array([max(abs(p.value), p.scale) for p in problem.parameters])
-    theta = nominal if np.any(np.abs(study.theta) > RUNAWAY * size) else study.theta
+    ran_away = np.any(np.abs(study.theta) > RUNAWAY * size) or vanished(problem, study.theta)
+    theta = problem.start() if ran_away else study.theta
     found = states_only(replace(problem, model=problem.at(theta)))
     return replace(found, theta=theta)
 

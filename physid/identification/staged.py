@@ -33,8 +33,8 @@ WHOLE = 80
 """Linearisations of a fit of whole records at most; along curved valleys many steps are short."""
 LEAST_BEGINNING = 40
 """Samples below which the beginning of a window is not fitted by itself."""
-VANISHED = 1e-2
-"""Share of its own value below which the force balance lost a mass or a spring."""
+VANISHED = 1.0 / 8.0
+"""Share of its own value below which a mass or a spring was lost rather than found."""
 ENOUGH = 5000
 """Samples used while a start is looked for."""
 SETTLED, SETTLED_ON_ENGINE = 1.15, 1.5
@@ -277,12 +277,12 @@ def _from_force_balance(problem: Problem) -> Iterator[np.ndarray]:
             ).theta
         except (np.linalg.LinAlgError, ValueError, ModelError):
             continue
-        if not _vanished(problem, theta):
+        if not vanished(problem, theta):
             yield theta
 
 
-def _vanished(problem: Problem, theta: np.ndarray) -> bool:
-    """Say whether a mass or a spring the model has is all but gone."""
+def vanished(problem: Problem, theta: np.ndarray) -> bool:
+    """Say whether a mass or a spring the model has is all but gone at some parameters."""
     return any(
         p.name.endswith((".mass", ".stiffness")) and abs(t) < VANISHED * abs(p.value)
         for p, t in zip(problem.parameters, theta, strict=True)
