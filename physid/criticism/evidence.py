@@ -80,9 +80,11 @@ def judge(judging: Mapping[str, Bench], candidate: Refit) -> Judgement:
     it, with what those parameters do projected out of both (Frisch, Waugh, Econometrica 1, 1933: what
     distorts them would else pass for noise); the regression's t-value uses a long-run variance (Bartlett
     kernel), so coloured residuals do not feign significance.  The horizons' p-values, which depend on each other,
-    are combined by Cauchy's rule.  A horizon over which one of the models diverges tells nothing.
+    are combined by Cauchy's rule.  A horizon over which one of the models diverges tells nothing.  Short
+    windows, with an initial state for every few samples, bias estimates alike on all data (Neyman, Scott,
+    Econometrica 16, 1948), and are heard only where no longer ones can be.
     """
-    p_values = []
+    p_values: dict[str, float] = {}
     shown: dict[str, tuple[Problem, Estimate, Estimate]] = {}
     for horizon, bench in judging.items():
         if horizon not in candidate.fits:
@@ -91,7 +93,7 @@ def judge(judging: Mapping[str, Bench], candidate: Refit) -> Judgement:
             after, t = _compare(bench, candidate, horizon)
         except NumericsError:
             continue
-        p_values.append(float(ndtr(-t)))
+        p_values[horizon] = float(ndtr(-t))
         shown[horizon] = (bench.ground.problem, bench.before, after)
     if not shown:
         blank = np.full(len(candidate.problem.sigma), np.nan)
@@ -100,7 +102,7 @@ def judge(judging: Mapping[str, Bench], candidate: Refit) -> Judgement:
         )
     problem, before, after = shown.get("long") or next(iter(shown.values()))
     return Judgement(
-        p_value=combined(p_values),
+        p_value=combined([p for h, p in p_values.items() if h != "short"] or [*p_values.values()]),
         squares_before=before.squares,
         squares_after=after.squares,
         before=nrmse(problem, before),
