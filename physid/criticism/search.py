@@ -337,7 +337,7 @@ def base_of(study: Study, known: Mapping[str, Estimate] | None = None) -> Base:
     if "block" not in fits and _much_longer(problems["block"], problems["long"]):
         with suppress(NumericsError):
             fits["block"] = _fitted_from(problems["block"], fits["long"].theta)
-    if "block" in fits and float(np.max(nrmse(problems["block"], fits["block"]))) >= 1.0:
+    if "block" in fits and not float(np.max(nrmse(problems["block"], fits["block"]))) < 1.0:
         fits.pop("block")
     points = {}
     for h, f in fits.items():

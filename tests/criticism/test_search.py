@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physid.criticism import merit, pairs, search
+from physid.criticism import evidence, merit, pairs, search
 from physid.criticism import refit as refitting
 from physid.criticism.grounds import Group
 from physid.criticism.refit import (
@@ -22,6 +22,7 @@ from physid.effects.catalogue import CATALOGUE
 from physid.errors import DivergedError
 from physid.identification.problem import residuals_of
 from physid.identification.screening import scales_of, screen
+from physid.identification.staged import vanished
 from physid.identification.study import Options, prepare
 from physid.plant.effect import Placed
 from physid.plant.structure import Place
@@ -31,14 +32,18 @@ HINGE = Place("joint", "hinge")
 EFFECTS = {e.name: e for e in CATALOGUE}
 
 
+def studied(folder, effect, seed):
+    """Return the study of the pendulum servo with a hidden effect."""
+    case = draw("pendulum_servo", effect, "hinge", 0.003, seed=seed, seconds=(4.0, 4.0))
+    write(make(case), folder)
+    fit = case.fit if case.fit == "auto" else list(case.fit)
+    return prepare(folder / "model.xml", [folder / "train.csv"], Options(fit=fit))
+
+
 @pytest.fixture(scope="module")
 def rubbing(tmp_path_factory):
     """The pendulum servo with hidden Coulomb friction: its study and its base fits."""
-    folder = tmp_path_factory.mktemp("rubbing")
-    case = draw("pendulum_servo", "coulomb_friction", "hinge", 0.003, seed=12, seconds=(4.0, 4.0))
-    write(make(case), folder)
-    fit = case.fit if case.fit == "auto" else list(case.fit)
-    study = prepare(folder / "model.xml", [folder / "train.csv"], Options(fit=fit))
+    study = studied(tmp_path_factory.mktemp("rubbing"), "coulomb_friction", seed=12)
     base = search.base_of(study)
     long = base.problems["long"]
     scored = screen(long, base.fits["long"], [(EFFECTS["coulomb_friction"], HINGE)])
@@ -314,11 +319,7 @@ def test_a_residual_of_one_colour_weighs_no_less_than_the_base(rubbing):
 
 
 def test_chosen_coefficients_are_tried_beside_those_a_screening_chose(tmp_path):
-    case = draw("pendulum_servo", "cogging", "hinge", 0.003, seed=5, seconds=(4.0, 4.0))
-    write(make(case), tmp_path)
-    fit = case.fit if case.fit == "auto" else list(case.fit)
-    study = prepare(tmp_path / "model.xml", [tmp_path / "train.csv"], Options(fit=fit))
-    base = search.base_of(study)
+    base = search.base_of(studied(tmp_path, "cogging", seed=5))
     long = base.problems["long"]
     scales = scales_of(long, base.fits["long"])
     scored = screen(long, base.fits["long"], [(EFFECTS["cogging"], HINGE)])
@@ -371,3 +372,31 @@ def test_an_effect_of_a_pair_is_exchanged_for_what_did_as_well_alone(rubbing, mo
     assert ("coulomb_friction", "switched_damping") in tried
     assert ("quadratic_drag", "switched_damping") in tried
     assert not any(one == other for one, other in tried)
+
+
+def test_steps_are_finer_where_integration_errors_would_be_evidence(rubbing):
+    study = replace(rubbing.study, integration_error=0.1)
+    assert search.sharpened(study).integration_error < 0.02
+    fine = replace(rubbing.study, integration_error=1e-6)
+    assert search.sharpened(fine) is fine
+
+
+def test_short_windows_are_heard_only_where_no_longer_ones_can_be(rubbing, monkeypatch):
+    base, found = rubbing.base, with_block(rubbing.base, refitted(rubbing))
+    judging = {h: search.windows_of(rubbing.study, h, search.judging_spans) for h in base.fits}
+    bench = evidence.benches(judging, base)
+    alone = evidence.judge({"long": bench["long"]}, found)
+    both = evidence.judge({h: bench[h] for h in ("short", "long")}, found)
+    assert both.p_value == alone.p_value < 1e-9
+    short = evidence.judge({"short": bench["short"]}, found)
+    assert 0.0 < short.p_value < 0.5
+    left = bench["long"].ground.estimate.squares
+    assert left <= bench["long"].before.squares  # the base is at its best there
+
+
+def test_a_mass_or_a_spring_that_is_all_but_gone_is_no_start():
+    names = ("arm.mass", "hinge.stiffness", "hinge.damping")
+    problem = SimpleNamespace(parameters=tuple(SimpleNamespace(name=n, value=2.0) for n in names))
+    assert not vanished(problem, np.array([0.3, 2.0, 0.0]))
+    assert vanished(problem, np.array([0.2, 2.0, 2.0]))
+    assert vanished(problem, np.array([2.0, 1e-6, 2.0]))
