@@ -197,7 +197,10 @@ def tangent_of(plant: Plant, path: Path, channels: Sequence[int]) -> Tangent | N
     with _frictionless([plant]):
         balance = _balance(plant, path, at, friction)
     turned = [part.transpose(0, 2, 1) for part in found]
-    quickest = np.linalg.eigvals(np.linalg.solve(turned[2], turned[0]))
+    try:
+        quickest = np.linalg.eigvals(np.linalg.solve(turned[2], turned[0]))
+    except np.linalg.LinAlgError:
+        return None  # the mass is lost in the rounding of what is far stiffer
     if np.abs(quickest).max() * path.dt**2 > FASTEST**2:
         return None
     stiffness, damping, mass = (_at_all(part, at, path) for part in turned[:3])

@@ -206,6 +206,19 @@ def test_a_motion_too_quick_for_its_sampling_has_none():
     assert nearby(problem, problem.start(), [np.array([[0.1, 0.0]])]) is None
 
 
+def test_a_mass_lost_beside_its_spring_leaves_no_tangent(monkeypatch):
+    model = load_text(RAIL.format(m=1e-3, k=1, loss=0, more=""))
+    problem = problem_of(model, ["x.stiffness"], np.zeros((300, 1)), substeps=4)
+
+    def singular(*_):
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    states = [np.array([[0.1, 0.0]])]
+    assert nearby(problem, problem.start(), states) is not None
+    monkeypatch.setattr(np.linalg, "solve", singular)
+    assert nearby(problem, problem.start(), states) is None
+
+
 def hanging(joints):
     """Return the problem of a chain of hinges under gravity, a motor and a dry friction at each, and its start."""
     text, names = "", range(joints)
