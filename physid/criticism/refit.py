@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from physid.identification.force_balance import observable, solve_balance, width
 from physid.identification.output_error import minimise
 from physid.identification.problem import Problem
 from physid.identification.screening import screen
-from physid.identification.staged import followed, states_only
+from physid.identification.staged import compiled, fit_apart, followed, states_only
 from physid.plant.effect import Placed, Scales
 from physid.plant.model import Model
 from physid.plant.parameter import Parameter
@@ -24,6 +25,8 @@ WELL_UNDER_WAY = 0.1
 """Share of the base's squares below which a fit that has not ended yet goes on."""
 FAR_OFF = 2.0
 """Times its goal's mean squares on long windows that a fit may leave on short ones to be followed."""
+NEARLY, FAR_FROM = 2.0, 2.0
+"""Mean squares over the noise's of what nearly fits one horizon, and times those that no other then may leave."""
 ROOM = 0.98
 """Largest share of the squares that a candidate may leave to have moved the model's own parameters: where
 these are as they were, no shape is seen that was not seen before."""
@@ -388,7 +391,24 @@ def _fit_horizons(
             long_fit = min(long_fit, other, key=lambda e: e.chi2)
     except (NumericsError, ModelError):
         return None
-    return {"short": short_fit, "long": long_fit}
+    return _none_stuck(base, trial, {"short": short_fit, "long": long_fit})
+
+
+def _none_stuck(base: Base, trial: Problem, fits: dict[str, Estimate]) -> dict[str, Estimate]:
+    """Fit again, from the horizon on which a candidate leaves least, those on which it leaves far more than there.
+
+    Behind a friction or a gap some of their windows begin on a wrong side, and hold up all others.
+    """
+    left = {h: e.squares / base.problems[h].measurements() for h, e in fits.items()}
+    best = min(left, key=lambda h: left[h])
+    found = dict(fits)
+    for horizon in fits if left[best] < NEARLY and compiled(trial) else ():
+        problem = trial.with_windows(base.problems[horizon].windows)
+        if left[horizon] > FAR_FROM * left[best]:
+            with suppress(NumericsError, ModelError):
+                again = fit_apart(problem, fits[best].theta)
+                found[horizon] = min(fits[horizon], again, key=lambda e: e.chi2)
+    return found
 
 
 def _halves_short(base: Base, fit: Estimate) -> bool:
@@ -441,4 +461,5 @@ def with_block(base: Base, fit: Refit, goal: float = np.inf) -> Refit:
     if not tried:
         no_better = replace(base.fits["block"], theta=fit.fits["long"].theta)
         return replace(fit, fits={**fit.fits, "block": no_better})
-    return replace(fit, fits={**fit.fits, "block": min(tried, key=lambda e: e.chi2)})
+    fits = {**fit.fits, "block": min(tried, key=lambda e: e.chi2)}
+    return replace(fit, fits=_none_stuck(base, fit.problem, fits))

@@ -162,6 +162,25 @@ def with_activations(
     return np.hstack([motion, activations])
 
 
+def state_after(
+    problem: Problem, experiment: int, window: int, state: np.ndarray, samples: int
+) -> np.ndarray:
+    """Return the state (nq + nv + memory,) in which a model without parameters is so many samples after one window's start."""
+    windows = problem.windows[experiment].take(np.array([window]))
+    simulator, model = windows.simulator, problem.model
+    plant = problem.plant(np.zeros(0), simulator.step)
+    controls = simulator.controls([plant], windows.experiment.inputs)
+    full = with_activations(plant, controls[0], state[None], windows.starts, simulator.substeps)
+    end = simulator.run([plant], [full], controls, windows.starts, samples + 1)[0].states[0, -1]
+    moving = model.structure.nq + model.structure.nv
+    own = [
+        moving + element.activation + k
+        for element in plant.elements
+        for k in range(len(element.memory))
+    ]
+    return np.asarray(end[[*range(moving), *own]])
+
+
 @dataclass(frozen=True, slots=True)
 class Block:
     """A stretch of an experiment's windows: which experiment, which windows, which samples of them."""

@@ -15,7 +15,7 @@ from physid.identification.estimate import Estimate
 from physid.identification.force_balance import POINTS, observable, solve_balance, widths
 from physid.identification.linearisation import Reduced, reduce
 from physid.identification.output_error import minimise
-from physid.identification.problem import Problem, residuals_of
+from physid.identification.problem import Problem, residuals_of, state_after
 from physid.identification.windows import (
     Span,
     Windows,
@@ -49,6 +49,10 @@ POINTS_ON_ENGINE = 300
 """Instants of the force balance where every one of them is asked of MuJoCo."""
 OUTSTANDING = 5.0
 """Times the usual mean squares of windows, or the noise's, from which a window starts anew."""
+HANDED_ON = 3
+"""Windows in a row that start anew where the one before them ends."""
+FARTHEST_OVER = 3.0
+"""Length of a run, in windows, that hands its state over."""
 POLISH = 5
 """Those steps, at most."""
 Progress = Callable[[str, float], None]
@@ -415,6 +419,17 @@ def states_only(problem: Problem, states: list[np.ndarray] | None = None) -> Est
     return mended(frozen, minimise(frozen, np.zeros(0), states, iterations=12, tolerance=1e-5))
 
 
+def fit_apart(problem: Problem, theta: np.ndarray, goal: float = np.inf) -> Estimate:
+    """Fit windows from parameters near the right ones, each window's state on its own wherever all do not go together.
+
+    It takes many runs: for models whose parameters are known better than where they begin behind a friction or a gap.
+    """
+    alone = states_only(replace(problem, model=problem.at(theta)))
+    return minimise(
+        problem, theta, alone.states, iterations=20, tolerance=2e-3, goal=goal, apart=True
+    )
+
+
 def followed(problem: Problem, theta: np.ndarray) -> list[np.ndarray] | None:
     """Return initial states from which a model that runs away follows its windows at some parameters.
 
@@ -427,32 +442,78 @@ def followed(problem: Problem, theta: np.ndarray) -> list[np.ndarray] | None:
 
 
 def mended(problem: Problem, estimate: Estimate) -> Estimate:
-    """Return a fit whose windows that stand out start anew, from joints that move together.
+    """Return a fit whose windows that stand out start anew: from joints that move together, or where others end.
 
     Behind a gap or a friction a window's misfit has minima of its own, and a speed guessed from noise
     may lead to a wrong one.  Parameters stay as they are; a window keeps what fits it better.
     """
     if not compiled(problem):
         return estimate
-    model = problem.at(estimate.theta)
+    frozen = replace(problem, model=problem.at(estimate.theta), parameters=())
     states = [x.copy() for x in estimate.states]
     residuals = [r.copy() for r in estimate.residuals]
-    gained = 0.0
+    before = [_squares(r) for r in residuals]
     for e, windows in enumerate(problem.windows):
-        mean = np.mean(residuals[e] ** 2, axis=(1, 2))
-        usual = float(np.sort(mean)[len(mean) // 4]) if len(mean) > 1 else 1.0
-        odd = np.flatnonzero(mean > OUTSTANDING * max(usual, 1.0))
-        if not len(odd):
-            continue
-        few = replace(problem, model=model, parameters=(), windows=(windows.take(odd),))
-        guess = initial_states(model, few.windows[0], together=True)
-        with suppress(DivergedError):
-            other = minimise(few, np.zeros(0), [guess], iterations=12, tolerance=1e-5)
-            better = np.mean(other.residuals[0] ** 2, axis=(1, 2)) < mean[odd]
-            gained += float(np.sum(residuals[e][odd[better]] ** 2))
-            states[e][odd[better]] = other.states[0][better]
-            residuals[e][odd[better]] = other.residuals[0][better]
-            gained -= float(np.sum(residuals[e][odd[better]] ** 2))
+        odd = _outstanding(residuals[e])
+        if len(odd):
+            guess = initial_states(frozen.model, windows.take(odd), together=True)
+            _started_anew(frozen, e, odd, guess, states[e], residuals[e])
+        for _ in range(HANDED_ON):
+            rows, guess = _handed_over(frozen, e, _outstanding(residuals[e]), states[e])
+            if not len(rows) or not _started_anew(frozen, e, rows, guess, states[e], residuals[e]):
+                break
+    gained = float(sum(np.sum(b - _squares(r)) for b, r in zip(before, residuals, strict=True)))
     if gained <= 0.0:
         return estimate
     return replace(estimate, states=states, residuals=residuals, chi2=estimate.chi2 - gained)
+
+
+def _squares(residuals: np.ndarray) -> np.ndarray:
+    """Return every window's squares (w,)."""
+    return np.asarray(np.einsum("wsk,wsk->w", residuals, residuals))
+
+
+def _outstanding(residuals: np.ndarray) -> np.ndarray:
+    """Return which windows fit far worse than most do, and than noise would let them."""
+    mean = np.mean(residuals**2, axis=(1, 2))
+    usual = float(np.sort(mean)[len(mean) // 4]) if len(mean) > 1 else 1.0
+    return np.flatnonzero(mean > OUTSTANDING * max(usual, 1.0))
+
+
+def _started_anew(
+    frozen: Problem,
+    e: int,
+    rows: np.ndarray,
+    guess: np.ndarray,
+    states: np.ndarray,
+    residuals: np.ndarray,
+) -> bool:
+    """Fit the initial states of some windows from a guess; keep, in place, those that fit better."""
+    few = frozen.with_windows([frozen.windows[e].take(rows)])
+    try:
+        other = minimise(few, np.zeros(0), [guess], iterations=12, tolerance=1e-5)
+    except DivergedError:
+        return False
+    better = _squares(other.residuals[0]) < _squares(residuals[rows])
+    states[rows[better]] = other.states[0][better]
+    residuals[rows[better]] = other.residuals[0][better]
+    return bool(np.any(better))
+
+
+def _handed_over(
+    frozen: Problem, e: int, odd: np.ndarray, states: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return which outstanding windows begin soon after a window that is none ends, and in what state it leads there."""
+    windows = frozen.windows[e]
+    order = np.argsort(windows.starts)
+    rank = np.argsort(order)
+    rows, guesses = [], []
+    for row in odd:
+        known = order[rank[row] - 1] if rank[row] else row
+        gap = int(windows.starts[row] - windows.starts[known])
+        if known not in odd and gap <= FARTHEST_OVER * windows.samples:
+            guesses.append(state_after(frozen, e, int(known), states[known], gap))
+            rows.append(row)
+    kept = [k for k, x in enumerate(guesses) if np.isfinite(x).all()]
+    width = states.shape[1]
+    return np.array(rows, int)[kept], np.reshape([guesses[k] for k in kept], (-1, width))
