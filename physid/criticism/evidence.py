@@ -125,7 +125,7 @@ def _compare(judging: Bench, candidate: Refit, horizon: str) -> tuple[Estimate, 
     """Return the candidate's fit of initial states on judging windows, and the t-value of what it adds."""
     bench = judging.ground
     model = candidate.problem.at(candidate.fits[horizon].theta)
-    frozen = replace(candidate.problem, windows=bench.problem.windows, model=model, parameters=())
+    frozen = replace(candidate.on(bench.problem.windows), model=model, parameters=())
     after, before, channels = states_only(frozen), judging.before, len(bench.problem.sigma)
     residual, basis, point = bench.remaining, bench.basis, bench.point
     without_states = point.without_states

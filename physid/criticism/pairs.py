@@ -77,16 +77,18 @@ def pairs_beside(
     singles: Sequence[Refit],
     candidates: Sequence[tuple[Effect, Place]],
     limit: float,
+    scales: Mapping[Place, Scales],
 ) -> list[Refit]:
     """Try a second effect beside some singles; keep a pair that halves what remains.
 
-    Beside a pair that leaves noise alone, what does not come below a limit is not followed.
+    Beside a pair that leaves noise alone, what does not come below a limit is not followed.  A single may
+    have been the wider law of two because its partner was missing; beside it the simpler one is tried.
     """
     found: list[Refit] = []
     wanted = list(candidates)
     most = PARTNERS - 1 if len(singles) > 1 else REFITS
     for single in singles:
-        problems = {h: single.problem.with_windows(base.problems[h].windows) for h in single.fits}
+        problems = {h: single.on(base.problems[h].windows) for h in single.fits}
         rest = [
             (effect, place)
             for effect, place in possible_candidates(problems["long"])
@@ -110,6 +112,8 @@ def pairs_beside(
             )
             if pair is None:
                 continue
+            if not pair.plausible(scales):
+                pair = _simpler(base, pair, fits, scales)
             pair = with_block(base, pair, goals.get("block", np.inf))
             if any(frozenset(f.sites()) == frozenset(pair.sites()) for f in found):
                 continue
@@ -130,6 +134,22 @@ def _overlap(one: Placed, other: Placed) -> bool:
     )
 
 
+def _simpler(
+    base: Base, pair: Refit, singles: Sequence[Refit], scales: Mapping[Place, Scales]
+) -> Refit:
+    """Return the pair with a law that is itself no more exchanged for one it contains, if that leaves no more."""
+    found = [pair]
+    for own in pair.fitted:
+        if own.place not in scales or own.effect.plausible(own.values, scales[own.place]):
+            continue
+        for single in singles:
+            placed = single.fitted[0]
+            if placed.place == own.place and placed.effect.name in own.effect.supersedes:
+                other = _exchanged_for(base, pair, own, placed, scales[own.place])
+                found += [other] if other is not None and other.plausible(scales) else []
+    return min(found[1:], key=lambda f: score(base, f, ("short", "long")), default=pair)
+
+
 def exchanged(
     base: Base, pair: Refit, singles: Sequence[Refit], scales: Mapping[Place, Scales]
 ) -> list[Refit]:
@@ -141,29 +161,31 @@ def exchanged(
     horizons = ("short", "long")
     found = []
     for site, own in zip(pair.sites(), pair.fitted, strict=True):
-        other = next(p for p in pair.fitted if not p.same_site(own))
+        partner = next(p for p in pair.fitted if not p.same_site(own))
         if site not in alone:
             continue
         enough = LIKE * score(base, alone[site], horizons)
-        inner = with_candidate(base.problems["long"], (other,))
-        theta = start_of(pair.problem, pair.fits["long"].theta, inner)
         for single in alone.values():
             placed = single.fitted[0]
-            if placed.place != own.place or placed.same_site(own) or _overlap(placed, other):
+            if placed.place != own.place or placed.same_site(own) or _overlap(placed, partner):
                 continue
             if score(base, single, horizons) > enough:
                 continue
-            other_pair = refit(
-                base,
-                inner,
-                [Start(placed, theta)],
-                scales[own.place],
-                rank=pair.rank,
-                already=(other,),
-            )
-            if other_pair is not None:
-                found.append(_ordered(base, with_block(base, other_pair), singles))
+            other = _exchanged_for(base, pair, own, placed, scales[own.place])
+            if other is not None:
+                found.append(_ordered(base, with_block(base, other), singles))
     return found
+
+
+def _exchanged_for(
+    base: Base, pair: Refit, own: Placed, placed: Placed, scales: Scales
+) -> Refit | None:
+    """Fit a pair with one of its effects exchanged for another at its place, from where it ended."""
+    partner = next(p for p in pair.fitted if not p.same_site(own))
+    inner = with_candidate(base.problems["long"], (partner,))
+    theta = start_of(pair.problem, pair.fits["long"].theta, inner)
+    starts = [Start(placed, theta)]
+    return refit(base, inner, starts, scales, rank=pair.rank, already=(partner,))
 
 
 def _worth_a_pair(base: Base, single: Refit, best: Refit, horizon: str) -> float:

@@ -10,12 +10,14 @@ import numpy as np
 
 from physid.criticism.base import Base
 from physid.errors import ModelError, NumericsError
+from physid.identification.accuracy import with_substeps
 from physid.identification.estimate import Estimate
 from physid.identification.force_balance import observable, solve_balance, widths
 from physid.identification.output_error import minimise
 from physid.identification.problem import Problem
 from physid.identification.screening import screen
 from physid.identification.staged import compiled, fit_apart, followed, states_only
+from physid.identification.windows import Windows
 from physid.plant.effect import Placed, Scales
 from physid.plant.model import Model
 from physid.plant.parameter import Parameter
@@ -57,6 +59,12 @@ class Refit:
         """Return the added effects at the values fitted at a horizon."""
         model = self.problem.at(self.fits[horizon].theta)
         return tuple(next(p for p in model.effects if p.same_site(a)) for a in self.added)
+
+    def on(self, windows: Sequence[Windows]) -> Problem:
+        """Return the problem on some windows, in steps as short as the candidate's own."""
+        return with_substeps(
+            self.problem.with_windows(windows), self.problem.windows[0].simulator.substeps
+        )
 
     def plausible(self, scales: Mapping[Place, Scales]) -> bool:
         """Say whether every added effect still is itself at the values of every long horizon."""
@@ -447,7 +455,7 @@ def with_block(base: Base, fit: Refit, goal: float = np.inf) -> Refit:
     """
     if "block" not in base.fits:
         return fit
-    problem = fit.problem.with_windows(base.problems["block"].windows)
+    problem = fit.on(base.problems["block"].windows)
     tried = []
     for horizon in ("long", "short"):
         try:

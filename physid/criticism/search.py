@@ -71,6 +71,8 @@ MUCH_LONGER = 1.5
 RIVALLING, SETTLED_BY = 1.1, 0.5
 """Squares on every horizon, over those of the best, of candidates that are brought to their minimum, and what
 another step there must be expected to gain: candidates are told apart by less than ends a fit on its way."""
+CONTENDING = 10.0
+"""... of those whose steps are looked at: what a step too long leaves may be all that tells them apart."""
 FINER = 4
 """Times that steps are made shorter at most so that integration errors are no evidence."""
 SAME = 10.0
@@ -111,7 +113,7 @@ def search(
         long = base.problems["long"]
         sizes = scales_of(long, base.fits["long"]) if _has_kinds(fits[0]) else {}
         fits[0] = in_other_kinds(base, fits[0], sizes)
-    return _at_their_minimum(base, fits)
+    return _at_their_minimum(study, base, fits)
 
 
 def _has_kinds(fit: Refit) -> bool:
@@ -175,7 +177,7 @@ def _searched(
         return fits
     report("trying pairs", 0.7)
     singles = fits
-    pairs = pairs_beside(base, fits, partnered, candidates, limit)
+    pairs = pairs_beside(base, fits, partnered, candidates, limit, scales)
     if pairs:
         fits = _with_siblings(base, [*fits, *pairs], scales)
     fits = _best_with_blocks(base, fits, scales)
@@ -186,33 +188,57 @@ def _searched(
     return _best_with_blocks(base, _better_of([*fits, *others], base), scales)
 
 
-def _at_their_minimum(base: Base, fits: list[Refit]) -> list[Refit]:
+def _at_their_minimum(study: Study, base: Base, fits: list[Refit]) -> list[Refit]:
     """Fit candidates that rival the best on, and sort again; those of dear rigs stay as they are."""
     if not quick(base.problems["long"]):
         return fits
-    rivals = [f for f in fits if _rivals(f, fits[0])]
+    if not study.options.steps:
+        fits = [_in_shorter_steps(base, f) if _within(CONTENDING, f, fits[0]) else f for f in fits]
+        fits = ordered(base, fits)
+    rivals = [f for f in fits if _within(RIVALLING, f, fits[0])]
     if len(rivals) < 2:
         return fits
     done = [_fitted_on(base, f) if any(f is r for r in rivals) else f for f in fits]
     return ordered(base, done)
 
 
-def _rivals(fit: Refit, best: Refit) -> bool:
+def _within(factor: float, fit: Refit, best: Refit) -> bool:
     """Say whether a candidate's squares are near those of another one on every horizon."""
     return all(
-        e.squares < RIVALLING * best.fits[h].squares for h, e in fit.fits.items() if h in best.fits
+        e.squares < factor * best.fits[h].squares for h, e in fit.fits.items() if h in best.fits
     )
 
 
+def _in_shorter_steps(base: Base, fit: Refit) -> Refit:
+    """Return a candidate fitted in steps that are short for what it adds: a lag may be faster than the model."""
+    long = fit.on(base.problems["long"].windows)
+    known, substeps = fit.fits["long"], long.windows[0].simulator.substeps
+    share = 1.0 / np.sqrt(long.measurements())
+    finer, _ = refine_steps(long, known.theta, known.states, substeps, share, FINER * substeps)
+    steps = finer.windows[0].simulator.substeps
+    if steps == substeps:
+        return fit
+    shorter = replace(fit, problem=with_substeps(fit.problem, steps))
+    try:
+        return replace(shorter, fits={h: _settled(base, shorter, h) for h in fit.fits})
+    except NumericsError:
+        return fit
+
+
+def _settled(base: Base, fit: Refit, horizon: str) -> Estimate:
+    """Fit a candidate on at a horizon until another step would gain next to nothing."""
+    known = fit.fits[horizon]
+    problem = fit.on(base.problems[horizon].windows)
+    tolerance = SETTLED_BY / max(known.chi2, SETTLED_BY)
+    return minimise(problem, known.theta, known.states, iterations=12, tolerance=tolerance)
+
+
 def _fitted_on(base: Base, fit: Refit) -> Refit:
-    """Return a candidate whose fits went on until another step would gain next to nothing."""
+    """Return a candidate with every horizon settled, where that leaves less."""
     fits = dict(fit.fits)
     for horizon, known in fit.fits.items():
-        problem = fit.problem.with_windows(base.problems[horizon].windows)
-        tolerance = SETTLED_BY / max(known.chi2, SETTLED_BY)
         with suppress(NumericsError):
-            found = minimise(problem, known.theta, known.states, iterations=12, tolerance=tolerance)
-            fits[horizon] = min(known, found, key=lambda e: e.chi2)
+            fits[horizon] = min(known, _settled(base, fit, horizon), key=lambda e: e.chi2)
     return replace(fit, fits=fits)
 
 

@@ -66,14 +66,14 @@ def rival_of(base: Base, fit: Refit, score: float) -> Rival:
     """Return a refitted candidate as a rival, known at the horizons next to which it does not diverge."""
     known = {}
     for horizon, estimate in fit.fits.items():
-        problem = fit.problem.with_windows(base.problems[horizon].windows)
+        problem = fit.on(base.problems[horizon].windows)
         with suppress(DivergedError):
             known[horizon] = estimate.point or reduce(
                 problem, estimate.theta, estimate.states, estimate.residuals
             )
     return Rival(
         sites=fit.sites(),
-        problem=fit.problem.with_windows(base.problems["long"].windows),
+        problem=fit.on(base.problems["long"].windows),
         theta=fit.fits["long"].theta,
         known=known,
         score=score,
