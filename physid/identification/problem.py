@@ -165,7 +165,7 @@ def with_activations(
 def state_after(
     problem: Problem, experiment: int, window: int, state: np.ndarray, samples: int
 ) -> np.ndarray:
-    """Return the state (nq + nv + memory,) in which a model without parameters is so many samples after one window's start."""
+    """Return the state (nq + nv + memory,) of a model without parameters so many samples after a window begins."""
     windows = problem.windows[experiment].take(np.array([window]))
     simulator, model = windows.simulator, problem.model
     plant = problem.plant(np.zeros(0), simulator.step)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from itertools import chain
 from typing import NamedTuple
@@ -503,7 +502,7 @@ def _started_anew(
 def _handed_over(
     frozen: Problem, e: int, odd: np.ndarray, states: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return which outstanding windows begin soon after a window that is none ends, and in what state it leads there."""
+    """Return which outstanding windows begin soon after one that is not ends, and in what state that leads there."""
     windows = frozen.windows[e]
     order = np.argsort(windows.starts)
     rank = np.argsort(order)

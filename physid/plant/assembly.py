@@ -130,6 +130,9 @@ def assemble(parts):  # type: ignore[no-untyped-def]  # noqa: C901 - three kinds
         parts.tree_ancestors,
         parts.tree_mass,
         parts.tree_gravity,
+        parts.planar_joints,
+        parts.planar_bodies,
+        parts.planar_gravity,
     )
 
 

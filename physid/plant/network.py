@@ -22,6 +22,7 @@ import numpy as np
 
 from physid.plant.compiling import kept
 from physid.plant.law import call_law, call_memory_law, pointer_at
+from physid.plant.planar import planar_mass_and_bias
 from physid.plant.tree import invert, mass_and_bias, workspace
 
 
@@ -80,6 +81,9 @@ class Network(NamedTuple):
     tree_ancestors: np.ndarray
     tree_mass: np.ndarray
     tree_gravity: np.ndarray
+    planar_joints: np.ndarray
+    planar_bodies: np.ndarray
+    planar_gravity: np.ndarray
 
 
 @kept(nogil=True, error_model="numpy")
@@ -302,6 +306,9 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
         tree_ancestors,
         tree_mass,
         tree_gravity,
+        planar_joints,
+        planar_bodies,
+        planar_gravity,
     ) = net
     nv = sines.shape[0]
     n = initial.shape[1]
@@ -326,6 +333,8 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
     spring_lifts, damper_lifts, actuator_lifts = spring_pulls, damper_pulls, actuator_pulls
     friction_lifts, law_lifts = friction_pulls, law_pulls
     work = workspace(tree_parents.size, nv if turns else 0)
+    planar = planar_joints.shape[0] > 0
+    plane = np.empty((planar_joints.shape[0], 12))
     mass, inverse, bias = np.empty((nv, nv)), np.empty((nv, nv)), np.empty(nv)
     if turns:
         spring_lifts, damper_lifts = spring_pulls.copy(), damper_pulls.copy()
@@ -438,19 +447,32 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
                                     value += linear[i, 1 + j] * stage[j]
                                 rate[nv + i] = value
                             if turns:
-                                mass_and_bias(
-                                    tree_parents,
-                                    tree_dofs,
-                                    tree_bodies,
-                                    tree_joints,
-                                    tree_ancestors,
-                                    tree_mass,
-                                    tree_gravity,
-                                    work,
-                                    stage,
-                                    mass,
-                                    bias,
-                                )
+                                if planar:
+                                    planar_mass_and_bias(
+                                        tree_ancestors,
+                                        tree_mass,
+                                        planar_joints,
+                                        planar_bodies,
+                                        planar_gravity,
+                                        plane,
+                                        stage,
+                                        mass,
+                                        bias,
+                                    )
+                                else:
+                                    mass_and_bias(
+                                        tree_parents,
+                                        tree_dofs,
+                                        tree_bodies,
+                                        tree_joints,
+                                        tree_ancestors,
+                                        tree_mass,
+                                        tree_gravity,
+                                        work,
+                                        stage,
+                                        mass,
+                                        bias,
+                                    )
                                 invert(mass, inverse)
                                 for i in range(nv):
                                     bias[i] = rate[nv + i] - bias[i]

@@ -29,8 +29,8 @@ class Parts(NamedTuple):
     """What a rig consists of, each part by itself.
 
     ``mass`` (nv, nv); ``gravity`` (nv, 1 + 2 nv): force as constant, sine and cosine parts of each
-    joint's angle; both zero where the mass turns with the joints, and ``tree_*``
-    (:data:`physid.plant.tree.Tree`) says how; ``limits`` (nu, 2): of the inputs.  ``*_rows`` (e, nv):
+    joint's angle; both zero where the mass turns with the joints, and ``tree_*`` with ``planar_*``
+    (:data:`physid.plant.tree.Tree`) say how; ``limits`` (nu, 2): of the inputs.  ``*_rows`` (e, nv):
     coordinates.  ``springs``: offset,
     k1, k2, k3, low, high.  ``dampers``: d1, d2, d3.  ``actuators``: gain 3, bias 3, cogging 3, force
     low and high, activation and ctrl number (-1: none), time constant (0: none).  ``friction``:
@@ -70,6 +70,9 @@ class Parts(NamedTuple):
     tree_ancestors: np.ndarray
     tree_mass: np.ndarray
     tree_gravity: np.ndarray
+    planar_joints: np.ndarray
+    planar_bodies: np.ndarray
+    planar_gravity: np.ndarray
 
 
 def read_parts(plant: Plant, data: mujoco.MjData) -> Parts | None:

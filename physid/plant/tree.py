@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 
 from physid.plant.compiling import kept
+from physid.plant.planar import read_planar
 
 MOST_TURNING = 8
 """Joints up to which adding up bodies one by one is no slower than the engine."""
@@ -24,12 +25,12 @@ PROBES = (0.7, -1.3)
 SAME = 1e-12
 """Relative difference of mass matrices that is rounding."""
 
-Tree = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+Tree = tuple[np.ndarray, ...]
 """Parents (b,): bodies' own, -1 for the world.  Dofs (b, 3): first joint, number, last joint up to the
 world (-1: none).  Bodies (b, 22): position, rotation, mass, centre of mass, inertia about it (xx, yy, zz,
 xy, xz, yz), in the parent's and the body's frame.  Joints (nv, 8): axis, anchor, zero, 1 for a hinge.
 Ancestors (nv,): the joint before, -1 for none.  Mass (nv, nv): what does not turn, of rotors.
-Gravity (3,)."""
+Gravity (3,).  Then :data:`physid.plant.planar.Planar`, empty where motion is not in a plane."""
 
 
 def read_tree(model: mujoco.MjModel, data: mujoco.MjData) -> Tree | None:
@@ -55,6 +56,9 @@ def read_tree(model: mujoco.MjModel, data: mujoco.MjData) -> Tree | None:
         np.zeros(0, np.int64),
         np.zeros((0, 0)),
         np.zeros(0),
+        np.zeros((0, 4)),
+        np.zeros((0, 4)),
+        np.zeros(2),
     )
     if not _turns(model, data):
         return none
@@ -91,14 +95,14 @@ def read_tree(model: mujoco.MjModel, data: mujoco.MjData) -> Tree | None:
     data.qpos[:] = model.qpos0
     mujoco.mj_fwdPosition(model, data)
     whole = _mass_of(model, data)
+    planar = read_planar(model, data, dofs[:, 2], gravity)
     state = np.concatenate([model.qpos0, np.zeros(model.nv)])
     work = workspace(count, model.nv)
-    mass_and_bias(
-        parents, dofs, bodies, joints, ancestors, fixed, gravity, work, state, mass, force
-    )
+    known = parents, dofs, bodies, joints, ancestors
+    mass_and_bias(*known, fixed, gravity, work, state, mass, force)
     fixed = whole - mass
     fixed[np.abs(fixed) < SAME * np.abs(whole).max()] = 0.0
-    return parents, dofs, bodies, joints, ancestors, fixed, gravity
+    return *known, fixed, gravity, *planar
 
 
 def _turns(model: mujoco.MjModel, data: mujoco.MjData) -> bool:
@@ -136,7 +140,17 @@ def workspace(bodies, joints):  # type: ignore[no-untyped-def]
 
 @kept(nogil=True, error_model="numpy")
 def mass_and_bias(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per stage, and hot
-    parents, dofs, bodies, joints, ancestors, fixed, gravity, work, state, mass, bias
+    parents,
+    dofs,
+    bodies,
+    joints,
+    ancestors,
+    fixed,
+    gravity,
+    work,
+    state,
+    mass,
+    bias,
 ):
     """Write the mass matrix (nv, nv) and the forces of motion and gravity (nv,) at a state (2 nv + ...).
 
