@@ -33,6 +33,9 @@ NAMED_BESIDE = 0.3
 TOLD_APART = 10.0
 """Difference of the information criterion below which two candidates are not told apart."""
 
+DRIFTED = 2.0
+"""Mean squares over the noise's that a model from which nothing is missing leaves at most at any horizon."""
+
 PROPER = ("coulomb", "stribeck")
 """Words of effects that are the names of people."""
 
@@ -213,7 +216,8 @@ def _verdict(
             "Something is missing that no effect of the catalogue explains: the best candidate, "
             f"{describe(best.refit)}, removes {100 * best.explained:.0f} % of the excess error."
         )
-    if ratio < NOISE_LIKE:
+    longest = max(f.squares / base.problems[h].measurements() for h, f in base.fits.items())
+    if ratio < NOISE_LIKE and longest < DRIFTED:
         return "nothing_missing", (
             "Nothing is missing: the residual is within the measurement noise and no effect of the "
             "catalogue earns a place."
@@ -225,7 +229,7 @@ def _verdict(
         )
     return "unexplained", (
         "Something is missing that no effect of the catalogue explains: the residual is "
-        f"{np.sqrt(ratio):.1f} times the measurement noise and no candidate removes it."
+        f"{np.sqrt(longest):.1f} times the measurement noise and no candidate removes it."
     )
 
 

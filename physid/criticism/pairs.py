@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,11 @@ from physid.criticism.base import NOISE_ALONE, Base
 from physid.criticism.grounds import grounds_of, screened
 from physid.criticism.merit import explained, halves, noise_like, score
 from physid.criticism.refit import Refit, Start, refit, start_of, with_block, with_candidate
+from physid.errors import NumericsError
+from physid.identification.estimate import Estimate
+from physid.identification.problem import Problem
 from physid.identification.screening import possible_candidates
+from physid.identification.staged import states_only, vanished
 from physid.plant.effect import Effect, Placed, Scales
 from physid.plant.structure import Place
 
@@ -20,7 +25,7 @@ REFITS = 4
 PARTNERS = 3
 """Best single effects that get a partner, and partners tried from each screening."""
 LIKE = 0.8
-"""Share of an effect's gain alone that another at its place must have to be exchanged for it in a pair."""
+"""Share of an effect's gain alone that another must have to be exchanged for it in a pair."""
 WELL_NAMED = 0.95
 """... beyond which no pair is looked for."""
 
@@ -98,6 +103,9 @@ def pairs_beside(
             )
         ]
         grounds = grounds_of(problems, single.fits)
+        if vanished(problems["long"], single.fits["long"].theta):
+            with suppress(NumericsError):
+                grounds.insert(0, _from_own_values(problems["long"], single))
         goals = {h: _worth_a_pair(base, single, fits[0], h) for h in single.fits}
         for group in screened(grounds, rest, most, 1):
             pair = refit(
@@ -122,6 +130,16 @@ def pairs_beside(
         if any(noise_like(base, pair, NOISE_ALONE) for pair in found):
             break  # no pair from a worse single can do better
     return found
+
+
+def _from_own_values(problem: Problem, single: Refit) -> tuple[Problem, Estimate]:
+    """Return a single at its fitted values beside the model's own: what is missing took a mass or a spring away."""
+    fitted = single.fits["long"].theta
+    theta = np.array(
+        [t if "@" in p.name else p.value for p, t in zip(problem.parameters, fitted, strict=True)]
+    )
+    found = states_only(replace(problem, model=problem.at(theta)))
+    return problem, replace(found, theta=theta)
 
 
 def _overlap(one: Placed, other: Placed) -> bool:
@@ -153,9 +171,10 @@ def _simpler(
 def exchanged(
     base: Base, pair: Refit, singles: Sequence[Refit], scales: Mapping[Place, Scales]
 ) -> list[Refit]:
-    """Return pairs in which one effect is exchanged for another that did about as well at its place alone.
+    """Return pairs in which one effect is exchanged for another that did about as well alone.
 
-    While the other one was missing, a lag and a delay looked the same; beside it they need not.
+    While the other one was missing, a lag and a delay looked the same, or a stiff mode and an inertia; beside it
+    they need not.
     """
     alone = {f.sites()[0]: f for f in singles if len(f.added) == 1}
     horizons = ("short", "long")
@@ -167,11 +186,11 @@ def exchanged(
         enough = LIKE * score(base, alone[site], horizons)
         for single in alone.values():
             placed = single.fitted[0]
-            if placed.place != own.place or placed.same_site(own) or _overlap(placed, partner):
+            if placed.same_site(own) or _overlap(placed, partner):
                 continue
-            if score(base, single, horizons) > enough:
+            if score(base, single, horizons) > enough or placed.place not in scales:
                 continue
-            other = _exchanged_for(base, pair, own, placed, scales[own.place])
+            other = _exchanged_for(base, pair, own, placed, scales[placed.place])
             if other is not None:
                 found.append(_ordered(base, with_block(base, other), singles))
     return found
@@ -180,7 +199,7 @@ def exchanged(
 def _exchanged_for(
     base: Base, pair: Refit, own: Placed, placed: Placed, scales: Scales
 ) -> Refit | None:
-    """Fit a pair with one of its effects exchanged for another at its place, from where it ended."""
+    """Fit a pair with one of its effects exchanged for another, from where it ended."""
     partner = next(p for p in pair.fitted if not p.same_site(own))
     inner = with_candidate(base.problems["long"], (partner,))
     theta = start_of(pair.problem, pair.fits["long"].theta, inner)

@@ -44,6 +44,7 @@ from physid.errors import DivergedError, NumericsError
 from physid.identification.accuracy import SHARE, for_engine, with_substeps
 from physid.identification.estimate import Estimate
 from physid.identification.fitting import FAR_WORSE, Fitted, fit_study
+from physid.identification.freedom import identifiable_beside
 from physid.identification.output_error import minimise
 from physid.identification.problem import Problem
 from physid.identification.staged import states_only
@@ -260,8 +261,34 @@ def _step(
     study: Study, tests: Sequence[Any], added: tuple[Placed, ...], p_value: float | None
 ) -> Step:
     fitted = fit_study(study)
+    if added and study.options.fit == "auto":
+        fitted = _more_freed(study, fitted)
     tested = _tested(fitted.model, fitted.problem, tests)
     return Step(added=added, fitted=fitted, tested=tested, p_value=p_value)
+
+
+def _more_freed(study: Study, fitted: Fitted) -> Fitted:
+    """Free what whole records tell once they are explained, and windows of a model that lacked something did not."""
+    problem = fitted.problem
+    if not _is_noise_like(fitted):
+        return fitted
+    try:
+        more = identifiable_beside(problem, fitted.estimate)
+        if not more:
+            return fitted
+        wider = replace(
+            study,
+            problem=replace(study.problem, parameters=(*problem.parameters, *more)),
+            theta=np.concatenate([fitted.estimate.theta, [p.value for p in more]]),
+            states=fitted.estimate.states,
+        )
+        return fit_study(wider)
+    except NumericsError:
+        return fitted
+
+
+def _is_noise_like(fitted: Fitted) -> bool:
+    return fitted.estimate.squares < NOISE_LIKE * fitted.problem.measurements()
 
 
 def _tested(
@@ -324,12 +351,23 @@ def _refinement(
         "where": where(base.problem, base.estimate, list(lack.forces)),
         "force_balance": balance_row(last),
         "first_sentence": first.sentence,
-        "notes": [*study.notes, *first.notes, *last.notes, *reread],
+        "notes": [*_freedom_notes(study, steps), *first.notes, *last.notes, *reread],
         "simulation": simulation_row(filed, max(last.integration_error, error), last.confirmed),
     }
     if first.verdict != "effect_missing":
         data["sentence"] = first.sentence
     return Refinement(data=data, curves=_curves(steps, lack), model=last.model, xml=xml)
+
+
+def _freedom_notes(study: Study, steps: Sequence[Step]) -> list[str]:
+    """Return the study's notes, and what is free now that was not at first."""
+    before, now = ({p.name for p in s.fitted.problem.parameters} for s in (steps[0], steps[-1]))
+    freed = sorted(name for name in now - before if "@" not in name)
+    kept = [n for n in study.notes if not any(n.startswith(f"{f} is not freed") for f in freed)]
+    return [
+        *kept,
+        *(f"{f} is freed beside what was added: whole records tell it then." for f in freed),
+    ]
 
 
 def _without_starts(

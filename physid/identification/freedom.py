@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from physid.errors import InputError
-from physid.identification.linearisation import reduce
+from physid.identification.columns import columns_of
+from physid.identification.estimate import Estimate
+from physid.identification.linearisation import reduce, reduced
 from physid.identification.problem import Problem, residuals_of
 from physid.plant.model import Model
 from physid.plant.parameter import Parameter, every_name
@@ -106,6 +108,40 @@ def identifiable(problem: Problem, wanted: Sequence[Parameter], excess: float = 
     theta, states = trial.start(), trial.states()
     base = residuals_of(trial, [theta], [states])[0]
     columns = reduce(trial, theta, states, base).columns
+    chosen, notes = _told_apart(columns, wanted, excess)
+    freed = ", ".join(p.name for p in chosen) or "nothing"
+    return Freedom(chosen, (f"Free (--fit auto): {freed}.", *notes))
+
+
+def identifiable_beside(problem: Problem, estimate: Estimate) -> tuple[Parameter, ...]:
+    """Return the parameters of a model, free ones left out, that a fit tells apart from these.
+
+    On whole records, at values that explain them, more shows than on windows at values that are off.
+
+    Parameters
+    ----------
+    problem : Problem
+        On whole records.
+    estimate : Estimate
+        Its fit.
+    """
+    free = {p.name for p in problem.parameters}
+    wanted = [p for p in candidates(problem.model) if p.name not in free]
+    if not wanted:
+        return ()
+    both = (*problem.parameters, *wanted)
+    theta = np.concatenate([estimate.theta, [p.value for p in wanted]])
+    trial = replace(problem, parameters=both)
+    # Over many periods one-sided differences of parameters that act alike differ by their curvature.
+    blocks = columns_of(trial, theta, estimate.states, estimate.residuals, central=True)
+    columns = reduced(trial, blocks, estimate.residuals).columns
+    return _told_apart(columns, both, 1.0, len(free))[0][len(free) :]
+
+
+def _told_apart(
+    columns: np.ndarray, wanted: Sequence[Parameter], excess: float, known: int = 0
+) -> tuple[tuple[Parameter, ...], list[str]]:
+    """Choose parameters whose columns (m, p) differ from those before; the first so many are chosen already."""
     chosen: list[Parameter] = []
     basis = np.zeros((len(columns), 0))
     notes = []
@@ -114,7 +150,10 @@ def identifiable(problem: Problem, wanted: Sequence[Parameter], excess: float = 
         size = float(np.linalg.norm(column))
         rest = column - basis @ (basis.T @ column)
         left = float(np.linalg.norm(rest))
-        if not np.isfinite(size) or size * VAGUE < excess:
+        if k < known:
+            chosen.append(parameter)
+            basis = np.column_stack([basis, rest / left]) if left > 1e-9 * size > 0.0 else basis
+        elif not np.isfinite(size) or size * VAGUE < excess:
             notes.append(f"{parameter.name} is not freed: it hardly changes what is measured.")
         elif left < ALIKE * size:
             notes.append(
@@ -126,8 +165,7 @@ def identifiable(problem: Problem, wanted: Sequence[Parameter], excess: float = 
         else:
             chosen.append(parameter)
             basis = np.column_stack([basis, rest / left])
-    freed = ", ".join(p.name for p in chosen) or "nothing"
-    return Freedom(tuple(chosen), (f"Free (--fit auto): {freed}.", *notes))
+    return tuple(chosen), notes
 
 
 def _most_alike(
