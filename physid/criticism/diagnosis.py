@@ -140,7 +140,7 @@ def with_effects(study: Study, candidate: Candidate, horizon: str = "long") -> S
     Those on whole stretches are nearer where they are right, but may be in a minimum of their own.
     """
     fit = candidate.refit
-    problem = fit.problem.with_windows(study.problem.windows)
+    problem = fit.problem.on(study.problem.windows)
     return replace(study, problem=problem, theta=fit.fits[horizon].theta, states=None)
 
 

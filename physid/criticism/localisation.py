@@ -184,9 +184,7 @@ def _pulse_motion(
     w = problem.windows[e]
     plant = problem.plant(estimate.theta, w.simulator.step)
     controls = w.simulator.controls([plant], w.experiment.inputs)
-    initial = with_activations(
-        plant, controls[0], estimate.states[e], w.starts, w.simulator.substeps
-    )
+    initial = with_activations(plant, controls[0], estimate.states[e], w.starts, w.simulator)
     run = w.simulator.run([plant], [initial], controls, w.starts, w.samples)[0]
     middle = ((np.arange(count) + 0.5) * w.samples / count).astype(int)
     times = w.experiment.time[w.starts[:, None] + middle]

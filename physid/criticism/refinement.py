@@ -42,6 +42,7 @@ from physid.criticism.refit import start_of, with_candidate
 from physid.effects.catalogue import load_model_text
 from physid.errors import DivergedError, NumericsError
 from physid.identification.accuracy import SHARE, for_engine, with_substeps
+from physid.identification.beginnings import with_likely_beginnings
 from physid.identification.estimate import Estimate
 from physid.identification.fitting import FAR_WORSE, Fitted, fit_study
 from physid.identification.freedom import identifiable_beside
@@ -138,7 +139,8 @@ def refine(
         kept = _earning_their_place(steps[-1], added)
         steps += added[:kept]
         if kept:
-            problem = replace(steps[-1].fitted.problem, windows=study.problem.windows)
+            problem = steps[-1].fitted.problem.on(study.problem.windows)
+            problem = with_substeps(problem, study.simulator.substeps)
             study = replace(
                 study, problem=problem, theta=steps[-1].fitted.estimate.theta, states=None
             )
@@ -304,6 +306,7 @@ def _tested(
     windows = tuple(whole(e, replace(simulator, dt=e.dt)) for e in tests)
     problem = Problem(model=model, parameters=(), windows=windows, sigma=fitted.sigma)
     try:
+        problem = with_likely_beginnings(problem, np.zeros(0))
         return problem, states_only(problem, states)
     except DivergedError:
         return None

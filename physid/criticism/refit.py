@@ -10,7 +10,7 @@ import numpy as np
 
 from physid.criticism.base import Base
 from physid.errors import ModelError, NumericsError
-from physid.identification.accuracy import with_substeps
+from physid.identification.beginnings import with_likely_beginnings
 from physid.identification.estimate import Estimate
 from physid.identification.force_balance import observable, solve_balance, widths
 from physid.identification.output_error import minimise
@@ -61,10 +61,8 @@ class Refit:
         return tuple(next(p for p in model.effects if p.same_site(a)) for a in self.added)
 
     def on(self, windows: Sequence[Windows]) -> Problem:
-        """Return the problem on some windows, in steps as short as the candidate's own."""
-        return with_substeps(
-            self.problem.with_windows(windows), self.problem.windows[0].simulator.substeps
-        )
+        """Return the problem on some windows, simulated as the candidate was."""
+        return self.problem.on(windows)
 
     def plausible(self, scales: Mapping[Place, Scales]) -> bool:
         """Say whether every added effect still is itself at the values of every long horizon."""
@@ -159,6 +157,7 @@ def refit(
         The best; None if none can be simulated, is plausible, or comes near.
     """
     every = [*starts, *_by_balance(inner, starts)]
+    inner = _begun_likely(inner, every[0], scales)
     promising = _promising(base, inner, every, scales, near)
     if not promising:
         return None
@@ -172,6 +171,16 @@ def refit(
         unmoved = start_of(base.problems["long"], base.fits["long"].theta, inner)
         still = [Start(s.placed, unmoved) for s in starts[:1]]
         best = _best_of(base, inner, still, scales, rank, already, goal)
+    if best is not None:
+        # Where its record begins shows better once a candidate is fitted.
+        theta = start_of(best.problem, best.fits["long"].theta, inner)
+        reached = Start(best.fitted[-1], theta)
+        other = _begun_likely(inner, reached, scales)
+        if other is not inner:
+            inner = other
+            best = _better(
+                base, best, _best_of(base, inner, [reached], scales, rank, already, goal)
+            )
     shaped = any(c.shape or c.fixed for c in starts[0].placed.effect.coefficients)
     if best is None or not shaped or base.leaves_noise(best.fits):
         return best
@@ -179,6 +188,17 @@ def refit(
         return best
     seen = _seen_from(base, inner, best, [*starts, *promising])
     return _better(base, best, _best_of(base, inner, seen, scales, rank, already, goal))
+
+
+def _begun_likely(inner: Problem, start: Start, scales: Scales) -> Problem:
+    """Return the problem with its records begun as a candidate speaks for; the same one if they are."""
+    trial = with_candidate(inner, (start.placed,), scales)
+    try:
+        found = with_likely_beginnings(trial, start_of(inner, start.theta, trial))
+    except (NumericsError, ModelError):
+        return inner
+    befores = [[w.simulator.before for w in p.windows] for p in (found, inner)]
+    return inner if befores[0] == befores[1] else inner.with_windows(found.windows)
 
 
 def _better(base: Base, *fits: Refit | None) -> Refit | None:
@@ -192,7 +212,7 @@ def without_partner(base: Base, pair: Refit, scales: Mapping[Place, Scales]) -> 
     A second effect may only have led the first to its right values.
     """
     found = []
-    inner = base.problems["long"]
+    inner = base.problems["long"].with_windows(pair.on(base.problems["long"].windows).windows)
     for placed in pair.fitted:
         theta = start_of(pair.problem, pair.fits["long"].theta, inner)
         start = Start(placed, theta)
@@ -239,7 +259,11 @@ def _kinds_beside(
 def _in_kind(base: Base, fit: Refit, added: tuple[Placed, ...]) -> Refit | None:
     """Fit a candidate's effects with other values of what is not fitted, from where it ended."""
     inner = base.problems["long"]
-    trial = replace(with_candidate(inner, added), parameters=fit.problem.parameters)
+    trial = replace(
+        with_candidate(inner, added),
+        parameters=fit.problem.parameters,
+        windows=fit.on(inner.windows).windows,
+    )
     fits = _fit_horizons(base, trial, fit.fits["long"].theta, np.inf)
     if fits is None:
         return None
@@ -253,7 +277,7 @@ def _seen_from(base: Base, inner: Problem, best: Refit, known: Sequence[Start]) 
     candidate's parameters they are seen more clearly, unless the model diverges there without it.
     """
     own = best.added[-1]
-    problem = inner.with_windows(base.problems["long"].windows)
+    problem = inner.on(base.problems["long"].windows)
     theta = start_of(best.problem, best.fits["long"].theta, inner)
     try:
         ground = replace(states_only(replace(problem, model=problem.at(theta))), theta=theta)
@@ -329,9 +353,7 @@ def _promising(
 
 def _first_cost(base: Base, inner: Problem, start: Start, scales: Scales, horizon: str) -> float:
     """Return the misfit on a horizon's windows after a step from a start, or three on short ones."""
-    trial = with_candidate(inner, (start.placed,), scales).with_windows(
-        base.problems[horizon].windows
-    )
+    trial = with_candidate(inner, (start.placed,), scales).on(base.problems[horizon].windows)
     theta = start_of(inner, start.theta, trial)
     try:
         return minimise(
@@ -382,8 +404,8 @@ def _logs(fit: Refit, base: Base) -> list[float]:
 def _fit_horizons(
     base: Base, trial: Problem, start: np.ndarray, goal: float
 ) -> dict[str, Estimate] | None:
-    brief = trial.with_windows(base.problems["short"].windows)
-    long = trial.with_windows(base.problems["long"].windows)
+    brief = trial.on(base.problems["short"].windows)
+    long = trial.on(base.problems["long"].windows)
     try:
         # A fit that ends worse than the model it contains leads nowhere; nor does one that is far from its goal
         # already on short windows, where errors have not grown.
@@ -411,7 +433,7 @@ def _none_stuck(base: Base, trial: Problem, fits: dict[str, Estimate]) -> dict[s
     best = min(left, key=lambda h: left[h])
     found = dict(fits)
     for horizon in fits if left[best] < NEARLY and compiled(trial) else ():
-        problem = trial.with_windows(base.problems[horizon].windows)
+        problem = trial.on(base.problems[horizon].windows)
         if left[horizon] > FAR_FROM * left[best]:
             with suppress(NumericsError, ModelError):
                 again = fit_apart(problem, fits[best].theta)

@@ -114,7 +114,7 @@ def course_of(rival: Rival, inputs: np.ndarray) -> Course:
     (rest,) = problem.completed(rival.theta, [rest])
     starts = np.zeros(1, int)
     controls = simulator.controls([plant], inputs)
-    initial = with_activations(plant, controls[0], rest, starts, simulator.substeps)
+    initial = with_activations(plant, controls[0], rest, starts, simulator)
     (run,) = simulator.run([plant], [initial], controls, starts, len(inputs))
     outputs = run.outputs[0][:, problem.windows[0].experiment.channels]
     states = run.states[0][:, : structure.nq + structure.nv]

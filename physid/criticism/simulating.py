@@ -181,5 +181,5 @@ def _run(model: Model, clock: Clock, inputs: np.ndarray, hold: Hold) -> Rollout:
     initial = np.concatenate([plant.model.qpos0, np.zeros(plant.model.nv)])[None]
     starts = np.zeros(1, int)
     controls = simulator.controls([plant], inputs)
-    initial = with_activations(plant, controls[0], initial, starts, clock.substeps)
+    initial = with_activations(plant, controls[0], initial, starts, simulator)
     return simulator.run([plant], [initial], controls, starts, len(inputs))[0]

@@ -91,7 +91,7 @@ def nearby(problem: Problem, theta: np.ndarray, states: Sequence[np.ndarray]) ->
 def _along(plant: Plant, windows: Windows, states: np.ndarray) -> Tangent | None:
     simulator, experiment = windows.simulator, windows.experiment
     (controls,) = simulator.controls([plant], experiment.inputs)
-    full = with_activations(plant, controls, states, windows.starts, simulator.substeps)
+    full = with_activations(plant, controls, states, windows.starts, simulator)
     (run,) = simulator.run([plant], [full], [controls], windows.starts, windows.samples)
     if not np.isfinite(run.states).all():
         return None

@@ -431,7 +431,7 @@ def _runaway_joint(problem: Problem, windows: Windows, window: int) -> str:
     plant = one.plant(theta, windows.simulator.step)
     states = initial_states(problem.model, start)
     controls = windows.simulator.controls([plant], windows.experiment.inputs)
-    full = with_activations(plant, controls[0], states, start.starts, windows.simulator.substeps)
+    full = with_activations(plant, controls[0], states, start.starts, windows.simulator)
     run = windows.simulator.run([plant], [full], controls, start.starts, start.samples)[0]
     path = run.states[0]
     finite = path[np.isfinite(path).all(axis=1)]

@@ -87,6 +87,16 @@ class Problem:
         """Return the same problem on other windows."""
         return replace(self, windows=tuple(windows))
 
+    def on(self, windows: Sequence[Windows]) -> Problem:
+        """Return the problem on other windows of its experiments, simulated as on its own."""
+        own = (w.simulator for w in self.windows)
+        return self.with_windows(
+            [
+                replace(w, simulator=replace(w.simulator, substeps=s.substeps, before=s.before))
+                for w, s in zip(windows, own, strict=True)
+            ]
+        )
+
     def start(self) -> np.ndarray:
         """Return the starting values (p,)."""
         return np.array([p.value for p in self.parameters])
@@ -120,12 +130,13 @@ def with_memory(
 
 
 def with_activations(
-    plant: Plant, controls: np.ndarray, states: np.ndarray, starts: np.ndarray, substeps: int
+    plant: Plant, controls: np.ndarray, states: np.ndarray, starts: np.ndarray, simulator: Simulator
 ) -> np.ndarray:
     """Append the actuators' activations at the windows' starts to the states.
 
-    An actuator's activation follows from the input alone: a first-order one starts the record at its
-    first input, an integrating one at zero.  Those that are effects' memory are states themselves, or
+    An actuator's activation follows from the input alone: a first-order one starts the record at what
+    the input was before (:attr:`physid.plant.simulation.Simulator.before`), an integrating one
+    at zero.  Those that are effects' memory are states themselves, or
     start as :meth:`physid.plant.effect.Element.remembered` says.
 
     Returns
@@ -136,6 +147,7 @@ def with_activations(
     if not model.na:
         return states
     activations = np.zeros((len(starts), model.na))
+    rests = simulator.before == "zero"
     for i in range(model.nactuator):
         kind = int(model.actuator_dyntype[i])
         if kind not in (FILTER, INTEGRATOR):
@@ -149,8 +161,8 @@ def with_activations(
             from scipy.signal import lfilter  # slow to import, and few rigs need it
 
             keep = np.exp(-model.opt.timestep / plant.time_constants[i])
-            path = lfilter([0.0, 1.0 - keep], [1.0, -keep], u, zi=[u[0]])[0]
-        activations[:, model.actuator_actadr[i]] = path[starts * substeps]
+            path = lfilter([0.0, 1.0 - keep], [1.0, -keep], u, zi=[0.0 if rests else u[0]])[0]
+        activations[:, model.actuator_actadr[i]] = path[starts * simulator.substeps]
     motion = states[:, : model.nq + model.nv]
     memory = states[:, motion.shape[1] :]
     for element in (e for e in plant.elements if e.memory):
@@ -170,7 +182,7 @@ def state_after(
     simulator, model = windows.simulator, problem.model
     plant = problem.plant(np.zeros(0), simulator.step)
     controls = simulator.controls([plant], windows.experiment.inputs)
-    full = with_activations(plant, controls[0], state[None], windows.starts, simulator.substeps)
+    full = with_activations(plant, controls[0], state[None], windows.starts, simulator)
     end = simulator.run([plant], [full], controls, windows.starts, samples + 1)[0].states[0, -1]
     moving = model.structure.nq + model.structure.nv
     own = [
@@ -209,7 +221,7 @@ def blocks_of(
         row = _plants(problem, simulator, thetas, plants)
         controls = simulator.controls(row, experiment.inputs)
         initial = [
-            with_activations(plant, u, x[e], windows.starts, simulator.substeps)
+            with_activations(plant, u, x[e], windows.starts, simulator)
             for plant, u, x in zip(row, controls, states, strict=True)
         ]
         count = len(windows.starts)

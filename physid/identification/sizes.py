@@ -146,7 +146,7 @@ def visited(problem: Problem, estimate: Estimate) -> tuple[np.ndarray, np.ndarra
         plant = problem.plant(estimate.theta, simulator.step)
         controls = simulator.controls([plant], experiment.inputs)
         initial = with_activations(
-            plant, controls[0], estimate.states[e], windows.starts, simulator.substeps
+            plant, controls[0], estimate.states[e], windows.starts, simulator
         )
         run = simulator.run([plant], [initial], controls, windows.starts, windows.samples)[0]
         flat = run.states.reshape(-1, run.states.shape[2])

@@ -25,6 +25,7 @@ from physid.plant.network import Network, integrate
 from physid.plant.structure import Structure
 
 Hold = Literal["zero", "first", "smooth"]
+Before = Literal["held", "zero"]
 MOST_QUICK = 4
 """Joints whose mass turns up to which a compiled run is so cheap that runs need not be saved."""
 _LINEAR_SENSORS = (
@@ -79,6 +80,8 @@ class Simulator:
         Columns simulated at a time.
     turning : int
         Joints of a network whose mass matrix turns with them, 0 if it does not.
+    before : {"held", "zero"}
+        The input before the record, which lags and delays remember: as at first, or nothing.
     """
 
     structure: Structure
@@ -90,6 +93,7 @@ class Simulator:
     exact: bool = True
     threads: int = 1
     turning: int = 0
+    before: Before = "held"
 
     @property
     def step(self) -> float:
@@ -132,7 +136,7 @@ class Simulator:
         for k, placed in plant.conditioners:
             fine[:, k] = placed.effect.condition(fine[:, k], placed.values)
         for k in late:
-            fine[:, k] = delayed(fine[:, k], delays[k] / self.step)
+            fine[:, k] = delayed(fine[:, k], delays[k] / self.step, self.before)
         return fine
 
     def run(
@@ -296,16 +300,19 @@ def between_samples(inputs: np.ndarray, substeps: int, hold: Hold) -> np.ndarray
     return np.column_stack(joined) if joined else np.zeros((n * substeps, 0))
 
 
-def delayed(u: np.ndarray, steps: float) -> np.ndarray:
+def delayed(u: np.ndarray, steps: float, before: Before = "held") -> np.ndarray:
     """Delay a held signal by a fractional number of steps (its mean over each step).
 
-    Before the record the input is taken to have been what it is at the first row.
+    Before the record the input is taken to have been what it is at the first row, or nothing.
     """
     steps = min(steps, float(len(u)))
     whole = int(np.floor(steps))
     part = steps - whole
     index = np.arange(len(u)) - whole
-    return (1.0 - part) * u[np.maximum(index, 0)] + part * u[np.maximum(index - 1, 0)]
+    now, earlier = u[np.maximum(index, 0)], u[np.maximum(index - 1, 0)]
+    if before == "zero":
+        now, earlier = np.where(index < 0, 0.0, now), np.where(index < 1, 0.0, earlier)
+    return (1.0 - part) * now + part * earlier
 
 
 def _leaves_limits(model: mujoco.MjModel, states: np.ndarray) -> bool:
