@@ -29,6 +29,8 @@ FAR_OFF = 2.0
 """Times its goal's mean squares on long windows that a fit may leave on short ones to be followed."""
 NEARLY, FAR_FROM = 2.0, 2.0
 """Mean squares over the noise's of what nearly fits one horizon, and times those that no other then may leave."""
+SHAPES = (0.5, 2.0)
+"""Times its value from which what bends a law is fitted once more, where more than noise is left."""
 ROOM = 0.98
 """Largest share of the squares that a candidate may leave to have moved the model's own parameters: where
 these are as they were, no shape is seen that was not seen before."""
@@ -241,6 +243,24 @@ def in_other_kinds(base: Base, best: Refit, scales: Mapping[Place, Scales]) -> R
             return best
 
 
+def in_other_shapes(base: Base, best: Refit) -> Refit:
+    """Return a candidate, or a better one that was started from half and twice what bends its laws.
+
+    Beside masses that are free, a lag has a minimum at half of its size, and a gap where it is not met.
+    """
+    if base.leaves_noise(best.fits):
+        return best
+    found = best
+    for k, placed in enumerate(best.fitted):
+        for c in placed.effect.coefficients:
+            for factor in SHAPES if c.shape and not c.fixed and not c.instant else ():
+                values = {**placed.values, c.name: factor * placed.values[c.name]}
+                added = (*best.fitted[:k], placed.with_values(values), *best.fitted[k + 1 :])
+                other = _in_kind(base, best, added)
+                found = found if other is None else _better(base, found, other) or found
+    return found
+
+
 def _kind_of(added: Sequence[Placed]) -> tuple[float, ...]:
     """Return the values of coefficients that are chosen and not fitted."""
     return tuple(p.values[c.name] for p in added for c in p.effect.coefficients if c.fixed)
@@ -257,14 +277,23 @@ def _kinds_beside(
 
 
 def _in_kind(base: Base, fit: Refit, added: tuple[Placed, ...]) -> Refit | None:
-    """Fit a candidate's effects with other values of what is not fitted, from where it ended."""
+    """Fit a candidate from where it ended, but for other values of its effects, as long as it may end lower."""
     inner = base.problems["long"]
     trial = replace(
         with_candidate(inner, added),
         parameters=fit.problem.parameters,
         windows=fit.on(inner.windows).windows,
     )
-    fits = _fit_horizons(base, trial, fit.fits["long"].theta, np.inf)
+    known = fit.fits["long"].theta
+    values = {
+        trial.model.coefficient_name(p, c): p.values[c.name]
+        for p in added
+        for c in p.effect.coefficients
+    }
+    start = np.array([values.get(p.name, t) for p, t in zip(trial.parameters, known, strict=True)])
+    lower, upper = [p.lower for p in trial.parameters], [p.upper for p in trial.parameters]
+    goal = fit.fits["long"].squares
+    fits = _fit_horizons(base, trial, np.clip(start, lower, upper), goal)
     if fits is None:
         return None
     return with_block(base, replace(fit, added=added, problem=trial, fits=fits))

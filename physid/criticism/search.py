@@ -25,6 +25,7 @@ from physid.criticism.refit import (
     Refit,
     Start,
     in_other_kinds,
+    in_other_shapes,
     refit,
     start_of,
     with_block,
@@ -112,7 +113,7 @@ def search(
     if fits:
         long = base.problems["long"]
         sizes = scales_of(long, base.fits["long"]) if _has_kinds(fits[0]) else {}
-        fits[0] = in_other_kinds(base, fits[0], sizes)
+        fits[0] = in_other_kinds(base, in_other_shapes(base, fits[0]), sizes)
     return _at_their_minimum(study, base, fits)
 
 
