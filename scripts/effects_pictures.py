@@ -97,7 +97,7 @@ def curves(shown: Shown) -> tuple[str, str, list[tuple[str, np.ndarray, np.ndarr
     still = np.concatenate([plants[0].model.qpos0, np.zeros(plants[0].model.nv)])[None]
     starts = np.zeros(1, int)
     first = [
-        with_activations(p, c, still, starts, SUBSTEPS)
+        with_activations(p, c, still, starts, simulator)
         for p, c in zip(plants, controls, strict=True)
     ]
     run = simulator.run(plants[:1], first[:1], controls[:1], starts, SAMPLES)[0]

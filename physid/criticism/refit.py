@@ -235,7 +235,7 @@ def in_other_kinds(base: Base, best: Refit, scales: Mapping[Place, Scales]) -> R
             if _kind_of(added) in tried:
                 continue
             tried.add(_kind_of(added))
-            other = _in_kind(base, best, added)
+            other = _with_values(base, best, added)
             if other is not None and _better(base, best, other) is other:
                 best = other
                 break
@@ -256,7 +256,7 @@ def in_other_shapes(base: Base, best: Refit) -> Refit:
             for factor in SHAPES if c.shape and not c.fixed and not c.instant else ():
                 values = {**placed.values, c.name: factor * placed.values[c.name]}
                 added = (*best.fitted[:k], placed.with_values(values), *best.fitted[k + 1 :])
-                other = _in_kind(base, best, added)
+                other = _with_values(base, best, added, best.fits["long"].squares)
                 found = found if other is None else _better(base, found, other) or found
     return found
 
@@ -276,8 +276,10 @@ def _kinds_beside(
             yield (*added[:k], placed.with_values(values), *added[k + 1 :])
 
 
-def _in_kind(base: Base, fit: Refit, added: tuple[Placed, ...]) -> Refit | None:
-    """Fit a candidate from where it ended, but for other values of its effects, as long as it may end lower."""
+def _with_values(
+    base: Base, fit: Refit, added: tuple[Placed, ...], goal: float = np.inf
+) -> Refit | None:
+    """Fit a candidate from where it ended, but for other values of its effects."""
     inner = base.problems["long"]
     trial = replace(
         with_candidate(inner, added),
@@ -292,7 +294,6 @@ def _in_kind(base: Base, fit: Refit, added: tuple[Placed, ...]) -> Refit | None:
     }
     start = np.array([values.get(p.name, t) for p, t in zip(trial.parameters, known, strict=True)])
     lower, upper = [p.lower for p in trial.parameters], [p.upper for p in trial.parameters]
-    goal = fit.fits["long"].squares
     fits = _fit_horizons(base, trial, np.clip(start, lower, upper), goal)
     if fits is None:
         return None

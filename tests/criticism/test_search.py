@@ -256,9 +256,9 @@ def test_candidates_that_rival_the_best_are_compared_at_their_minimum(rubbing):
             for h, e in found.fits.items()
         },
     )
-    assert search._rivals(early, found)
-    assert not search._rivals(far, found)
-    done = search._at_their_minimum(rubbing.base, [found, early, far])
+    assert search._within(search.RIVALLING, early, found)
+    assert not search._within(search.CONTENDING, far, found)
+    done = search._at_their_minimum(rubbing.study, rubbing.base, [found, early, far])
     assert done[2] is far
     squares = [[e.chi2 for e in f.fits.values()] for f in done[:2]]
     np.testing.assert_allclose(*squares, atol=5.0)
@@ -325,7 +325,7 @@ def test_chosen_coefficients_are_tried_beside_those_a_screening_chose(tmp_path):
     scored = screen(long, base.fits["long"], [(EFFECTS["cogging"], HINGE)])
     right = refit(base, long, starts_of(scored), scales[HINGE], rank=0)
     periods = right.fitted[0].values["periods"]
-    start = Start(right.fitted[0].with_values({"periods": periods + 2.0}), base.fits["long"].theta)
+    start = Start(right.fitted[0].with_values({"periods": periods + 1.0}), base.fits["long"].theta)
     wrong = refit(base, long, [start], scales[HINGE], rank=0)
     assert wrong.fits["long"].squares > 1.5 * right.fits["long"].squares
     found = in_other_kinds(base, wrong, scales)

@@ -14,7 +14,7 @@ from physid.effects.hysteresis import bouc_wen
 from physid.errors import ModelError
 from physid.identification.problem import with_activations, with_memory
 from physid.plant.requirements import require_motion_alone
-from physid.plant.simulation import make_simulator
+from physid.plant.simulation import Simulator, make_simulator
 from tests.plant.rigs import PENDULUM, load_text, ranges, run
 
 from .rigs import MOTOR, RIG, added_force, base, forces, with_effect
@@ -161,9 +161,10 @@ def test_memory_that_is_not_given_starts_where_nothing_is_known():
     plant = model.compile(1e-3)
     states = np.array([[0.3, 0.0, 0.0, 2.0, 0.0, 0.0]])
     controls, starts = np.zeros((10, 2)), np.zeros(1, int)
+    simulator = Simulator(structure=model.structure, dt=1e-3, substeps=1)
 
     def start(given):
-        return with_activations(plant, controls, given, starts, 1)[0, 6:]
+        return with_activations(plant, controls, given, starts, simulator)[0, 6:]
 
     assert start(states) == pytest.approx([0.3, 2.0, 0.0])
     assert start(np.hstack([states, [[0.1, 0.2]]])) == pytest.approx([0.1, 0.2, 0.0])

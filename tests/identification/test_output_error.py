@@ -234,10 +234,10 @@ def test_activations_at_windows_are_those_of_the_whole_run():
     simulator = plain(model, 1e-3, 2)
     plant, inputs = model.compile(simulator.step), inputs_for(model, 300)
     controls = simulator.controls([plant], inputs)[0]
-    first = with_activations(plant, controls, np.zeros((1, 4)), np.zeros(1, int), 2)
+    first = with_activations(plant, controls, np.zeros((1, 4)), np.zeros(1, int), simulator)
     states = run(simulator, model, inputs, first).states[0]
     starts = np.array([0, 17, 130, 299])
-    found = with_activations(plant, controls, states[starts, :4], starts, 2)
+    found = with_activations(plant, controls, states[starts, :4], starts, simulator)
     assert plant.model.na == 3
     assert np.allclose(found, states[starts], atol=1e-7)
 
