@@ -14,6 +14,7 @@ from physid.criticism.refit import (
     _seen_from,
     alike,
     in_other_kinds,
+    in_other_shapes,
     refit,
     with_block,
     without_partner,
@@ -332,6 +333,63 @@ def test_chosen_coefficients_are_tried_beside_those_a_screening_chose(tmp_path):
     assert found.fitted[0].values["periods"] == periods
     assert found.fits["long"].squares < 1.1 * right.fits["long"].squares
     assert in_other_kinds(base, right, scales) is right
+
+
+def test_what_a_candidate_adds_is_fitted_in_steps_short_for_it(rubbing, monkeypatch):
+    """Integration errors of the candidate's own run count, not those of the base's."""
+    found = refitted(rubbing)
+    coarse = found.problem.windows[0].simulator.substeps
+    assert search._in_shorter_steps(rubbing.base, found) is found
+    refined = search.refine_steps
+    monkeypatch.setattr(
+        search, "refine_steps", lambda p, t, x, n, share, most: refined(p, t, x, n, 0.0, 2 * n)
+    )
+    finer = search._in_shorter_steps(rubbing.base, found)
+    long = rubbing.base.problems["long"]
+    assert finer.on(long.windows).windows[0].simulator.substeps == 2 * coarse
+    for horizon, fit in finer.fits.items():
+        assert fit.squares == pytest.approx(found.fits[horizon].squares, rel=0.02)
+
+
+def test_a_law_that_bends_is_started_from_half_and_twice_what_bends_it(rubbing, monkeypatch):
+    found = refitted(rubbing)
+    assert in_other_shapes(rubbing.base, found) is found  # it leaves noise
+    monkeypatch.setattr(refitting, "SHAPES", (0.5, 2.0, 3.0))
+    lag = Placed(
+        EFFECTS["stribeck_friction"],
+        HINGE,
+        {"force": 0.1, "static_force": 0.2, "stribeck_velocity": 1.0},
+    )
+    start = Start(lag, rubbing.base.fits["long"].theta)
+    wide = refit(
+        rubbing.base, rubbing.base.problems["long"], [start], rubbing.scales[HINGE], rank=0
+    )
+    tried = []
+    monkeypatch.setattr(type(rubbing.base), "leaves_noise", lambda self, fits: False)
+    monkeypatch.setattr(
+        refitting, "_with_values", lambda base, best, added, goal: tried.append(added)
+    )
+    assert in_other_shapes(rubbing.base, wide) is wide
+    speeds = [p.values["stribeck_velocity"] for (p,) in tried]
+    own = wide.fitted[0].values["stribeck_velocity"]
+    assert speeds == pytest.approx([0.5 * own, 2.0 * own, 3.0 * own])
+
+
+def test_a_wider_law_of_a_pair_that_is_itself_no_more_gives_way_to_the_simpler_one(rubbing):
+    first = refitted(rubbing)
+    inner = rubbing.base.problems["long"]
+    force = first.fitted[0].values["force"]
+    values = {"force": force, "static_force": force, "stribeck_velocity": 1e-3}
+    wide = Placed(EFFECTS["stribeck_friction"], HINGE, values)
+    drag = Placed(EFFECTS["quadratic_drag"], HINGE, {"drag": 1e-6})
+    problem = refitting.with_candidate(inner, (wide, drag))
+    theta = refitting.start_of(first.problem, first.fits["long"].theta, problem)
+    fits = {h: replace(e, theta=theta) for h, e in first.fits.items()}
+    pair = refitting.Refit(added=(wide, drag), problem=problem, fits=fits, extra=4, rank=0)
+    assert not pair.plausible(rubbing.scales)
+    found = pairs._simpler(rubbing.base, pair, [first], rubbing.scales)
+    assert {p.effect.name for p in found.added} == {"coulomb_friction", "quadratic_drag"}
+    assert pairs._simpler(rubbing.base, pair, [], rubbing.scales) is pair
 
 
 def test_values_to_try_beside_those_chosen(rubbing):

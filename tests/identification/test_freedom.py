@@ -1,10 +1,14 @@
 """What is free: named by the user, or as far as the record tells it apart."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from physid.errors import InputError, ModelError
-from physid.identification.freedom import candidates, identifiable, named
+from physid.identification.freedom import candidates, identifiable, identifiable_beside, named
+from physid.identification.output_error import minimise
+from physid.identification.staged import on_whole_records
 
 from .rigs import experiment, problem_of, shaft_model, shaft_record
 
@@ -150,3 +154,19 @@ def test_wrong_names_bounds_and_priors(names, bounds, priors, kind, sentence):
     with pytest.raises(kind) as caught:
         named(shaft_model(), names, bounds, priors)
     assert sentence in str(caught.value)
+
+
+def test_whole_records_that_are_explained_free_what_they_tell_and_no_scale(shaft):
+    known = [shaft.model.parameter(n) for n in ("shaft.stiffness", "motor.gear", "rotor.mass")]
+    problem = replace(on_whole_records(shaft), parameters=tuple(known))
+    estimate = minimise(problem)
+    names = [p.name for p in identifiable_beside(problem, estimate)]
+    assert {"drive.damping", "load.damping", "shaft.damping"} <= set(names)
+    # A body's two inertias are one; and of all that has a scale one is left out.
+    masses = {"disc.mass", "disc.inertia", "rotor.inertia"}
+    assert not masses & set(names)
+    everything = [
+        p for p in candidates(shaft.model) if p.name in {*names, *(q.name for q in known)}
+    ]
+    complete = replace(problem, parameters=tuple(everything))
+    assert identifiable_beside(complete, minimise(complete)) == ()

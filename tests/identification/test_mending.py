@@ -1,11 +1,13 @@
 """Windows whose initial state was guessed on the wrong side of a gap start anew."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from physid.effects.catalogue import load_model
 from physid.identification import staged
-from physid.identification.staged import LONG, states_only, windowed
+from physid.identification.staged import LONG, fit_apart, states_only, windowed
 from physid.identification.study import Options, prepare
 from physid.identification.windows import initial_states
 from tests.truth.bank import draw, make, with_names, write
@@ -44,3 +46,24 @@ def test_what_a_spring_joins_moves_together_if_asked(problem):
     speeds = initial_states(problem.model, windows, together=True)[:, 2:]
     assert speeds[:, 0] == pytest.approx(speeds[:, 1], rel=1e-3, abs=1e-3)
     assert np.ptp(initial_states(problem.model, windows)[:, 2:], axis=1).max() > 0.1
+
+
+def test_a_window_that_stands_out_begins_where_the_one_before_it_ends(problem):
+    found = states_only(problem)
+    frozen = replace(problem, parameters=())
+    states = found.states[0].copy()
+    states[[2, 3]] += 1.0
+    rows, guesses = staged._handed_over(frozen, 0, np.array([2, 3]), states)
+    assert rows.tolist() == [2]  # the one before the other stands out itself
+    assert guesses[0] == pytest.approx(found.states[0][2], abs=0.02 * np.ptp(found.states[0]))
+    rows, guesses = staged._handed_over(frozen, 0, np.array([0]), states)
+    assert not len(rows)
+    assert guesses.shape == (0, states.shape[1])
+
+
+def test_windows_fitted_apart_leave_noise_from_bent_states(problem):
+    """None of them holds up the others, from parameters near the right ones."""
+    free = tuple(problem.model.parameter(n) for n in ("drive.damping", "load.damping"))
+    trial = replace(problem, parameters=free)
+    near = trial.start() * 1.02
+    assert fit_apart(trial, near).squares < 1.2 * trial.measurements()
