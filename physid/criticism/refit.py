@@ -457,17 +457,18 @@ def _fit_horizons(
 def _none_stuck(base: Base, trial: Problem, fits: dict[str, Estimate]) -> dict[str, Estimate]:
     """Fit again, from the horizon on which a candidate leaves least, those on which it leaves far more than there.
 
-    Behind a friction or a gap some of their windows begin on a wrong side, and hold up all others.
+    Behind a friction or a gap some of their windows begin on a wrong side, and hold up all others.  What remembers
+    fits short windows whatever it is, and they tell nothing of longer ones.
     """
     left = {h: e.squares / base.problems[h].measurements() for h, e in fits.items()}
-    best = min(left, key=lambda h: left[h])
+    telling = [h for h in left if h != "short" or not trial.model.memory]
+    best = min(telling, key=lambda h: left[h])
     found = dict(fits)
     for horizon in fits if left[best] < NEARLY and compiled(trial) else ():
         problem = trial.on(base.problems[horizon].windows)
         if left[horizon] > FAR_FROM * left[best]:
             with suppress(NumericsError, ModelError):
-                again = fit_apart(problem, fits[best].theta)
-                found[horizon] = min(fits[horizon], again, key=lambda e: e.chi2)
+                found[horizon] = fit_apart(problem, fits[best].theta, fits[horizon])
     return found
 
 
