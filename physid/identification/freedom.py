@@ -174,7 +174,8 @@ def _most_alike(
     names = [p.name for p in wanted]
     indices = [names.index(p.name) for p in chosen]
     column = columns[:, k]
-    scale = np.linalg.norm(columns[:, indices], axis=0)
+    # What was free before may do nothing here.
+    scale = np.maximum(np.linalg.norm(columns[:, indices], axis=0), 1e-300)
     weights = np.linalg.lstsq(columns[:, indices] / scale, column, rcond=1e-8)[0]
     order = np.argsort(-np.abs(weights))[:3]
     strong = [i for i in order if abs(weights[i]) > 0.1 * np.abs(weights).max()]

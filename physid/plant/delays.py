@@ -8,8 +8,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from physid.errors import ModelError
 from physid.plant.structure import Structure
 
+MOST = 1e7
+"""Steps of a delay that are kept at most."""
 HELD, LINEAR = 0, 1  # the engine's codes for how a delayed signal is interpolated
 
 
@@ -42,6 +45,10 @@ def write_delay(actuator: Any, delay: float, timestep: float) -> None:
     """
     if delay <= 0:
         return
+    if not delay < MOST * timestep:
+        raise ModelError(
+            f"A delay of {delay:.3g} s is more than {MOST:.0e} steps of {timestep:.3g} s; give a shorter one."
+        )
     actuator.delay = delay + 0.5 * timestep
     actuator.nsample = math.ceil(delay / timestep) + 3
     actuator.interp = LINEAR

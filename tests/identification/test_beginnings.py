@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from physid.errors import ModelError
 from physid.identification.beginnings import with_likely_beginnings
 from physid.identification.staged import states_only
 from physid.identification.study import Options, prepare
@@ -57,6 +58,11 @@ def test_the_record_tells_what_the_input_was_before(effect, before):
 def test_a_model_that_remembers_no_input_keeps_its_beginning():
     study = prepare(base(), [record_of(base(), "zero")], Options(fit=[]))
     assert with_likely_beginnings(study.problem, np.zeros(0)) is study.problem
+
+
+def test_a_delay_beyond_all_records_is_refused_in_a_sentence():
+    with pytest.raises(ModelError, match=r"A delay of 1e\+30 s is more than 1e\+07 steps"):
+        with_effect("input_delay", MOTOR, delay=1e30).compile(1e-3)
 
 
 def test_a_signal_is_delayed_from_what_it_was_before():

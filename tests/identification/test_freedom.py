@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from physid.errors import InputError, ModelError
+from physid.identification import freedom
 from physid.identification.freedom import candidates, identifiable, identifiable_beside, named
 from physid.identification.output_error import minimise
 from physid.identification.staged import on_whole_records
@@ -170,3 +171,13 @@ def test_whole_records_that_are_explained_free_what_they_tell_and_no_scale(shaft
     ]
     complete = replace(problem, parameters=tuple(everything))
     assert identifiable_beside(complete, minimise(complete)) == ()
+
+
+def test_a_free_parameter_that_does_nothing_is_no_reason_to_fail(shaft):
+    """A fit may have taken what it acts on away."""
+    columns = np.zeros((4, 3))
+    columns[:, 1] = columns[:, 2] = [1.0, 2.0, 3.0, 4.0]
+    wanted = [shaft.model.parameter(n) for n in ("motor.gear", "rotor.mass", "rotor.inertia")]
+    chosen, notes = freedom._told_apart(1e3 * columns / 1e-4, wanted, 1.0, 2)
+    assert [p.name for p in chosen] == ["motor.gear", "rotor.mass"]
+    assert notes == ["rotor.inertia is not freed: the records cannot tell it from rotor.mass."]
