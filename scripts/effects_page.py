@@ -34,7 +34,9 @@ not in this list you can write yourself: [your own effects](own_effects.md).
 
 An effect with a memory (a hysteresis, a mass on a spring, a lagging reading) has states of its own.
 They are estimated beside the initial positions and speeds. Where a sensor is late, the initial state
-is that of so much before the record, during which the input is taken to have been what it is at first.
+is that of so much before the record. What the input was then, which a lag or a delay of an input remembers too, is
+in no file: it is taken to have been what it is at first, or nothing, whichever the record's first moments clearly
+speak for.
 
 **Native** effects are MuJoCo's own: `refined.xml` loads in plain MuJoCo. **Run-time** effects are
 compiled force laws that physid hands to the engine; they travel in the file as `<custom>` entries
