@@ -32,7 +32,6 @@ NAMED_BESIDE = 0.3
 """... where the model was refined before and only details can be left."""
 TOLD_APART = 10.0
 """Difference of the information criterion below which two candidates are not told apart."""
-
 DRIFTED = 2.0
 """Mean squares over the noise's that a model from which nothing is missing leaves at most at any horizon."""
 

@@ -155,8 +155,8 @@ def _overlap(one: Placed, other: Placed) -> bool:
 def _simpler(
     base: Base, pair: Refit, singles: Sequence[Refit], scales: Mapping[Place, Scales]
 ) -> Refit:
-    """Return the pair with a law that is itself no more exchanged for one it contains, if that leaves no more."""
-    found = [pair]
+    """Return the pair with a law that is itself no more exchanged for one it contains; as it is where none can be."""
+    found: list[Refit] = []
     for own in pair.fitted:
         if own.place not in scales or own.effect.plausible(own.values, scales[own.place]):
             continue
@@ -165,7 +165,7 @@ def _simpler(
             if placed.place == own.place and placed.effect.name in own.effect.supersedes:
                 other = _exchanged_for(base, pair, own, placed, scales[own.place])
                 found += [other] if other is not None and other.plausible(scales) else []
-    return min(found[1:], key=lambda f: score(base, f, ("short", "long")), default=pair)
+    return min(found, key=lambda f: score(base, f, ("short", "long")), default=pair)
 
 
 def exchanged(

@@ -42,7 +42,7 @@ from physid.criticism.refit import start_of, with_candidate
 from physid.effects.catalogue import load_model_text
 from physid.errors import DivergedError, NumericsError
 from physid.identification.accuracy import SHARE, for_engine, with_substeps
-from physid.identification.beginnings import with_likely_beginnings
+from physid.identification.beginnings import beginning_notes, with_likely_beginnings
 from physid.identification.estimate import Estimate
 from physid.identification.fitting import FAR_WORSE, Fitted, fit_study
 from physid.identification.freedom import identifiable_beside
@@ -354,7 +354,7 @@ def _refinement(
         "where": where(base.problem, base.estimate, list(lack.forces)),
         "force_balance": balance_row(last),
         "first_sentence": first.sentence,
-        "notes": [*_freedom_notes(study, steps), *first.notes, *last.notes, *reread],
+        "notes": [*_notes_so_far(study, steps), *first.notes, *last.notes, *reread],
         "simulation": simulation_row(filed, max(last.integration_error, error), last.confirmed),
     }
     if first.verdict != "effect_missing":
@@ -362,11 +362,16 @@ def _refinement(
     return Refinement(data=data, curves=_curves(steps, lack), model=last.model, xml=xml)
 
 
-def _freedom_notes(study: Study, steps: Sequence[Step]) -> list[str]:
-    """Return the study's notes, and what is free now that was not at first."""
+def _notes_so_far(study: Study, steps: Sequence[Step]) -> list[str]:
+    """Return the study's notes, how records begin for what was added, and what is free now that was not at first."""
     before, now = ({p.name for p in s.fitted.problem.parameters} for s in (steps[0], steps[-1]))
     freed = sorted(name for name in now - before if "@" not in name)
-    kept = [n for n in study.notes if not any(n.startswith(f"{f} is not freed") for f in freed)]
+    begun = [n for n in beginning_notes(steps[-1].fitted.problem) if n not in study.notes]
+    kept = [
+        n
+        for n in (*study.notes, *begun)
+        if not any(n.startswith(f"{f} is not freed") for f in freed)
+    ]
     return [
         *kept,
         *(f"{f} is freed beside what was added: whole records tell it then." for f in freed),

@@ -42,6 +42,15 @@ def with_likely_beginnings(problem: Problem, theta: np.ndarray) -> Problem:
     return problem.with_windows([_likely(frozen, w) for w in problem.windows])
 
 
+def beginning_notes(problem: Problem) -> list[str]:
+    """Return a sentence for every record before which the input is taken to have been nothing."""
+    return [
+        f"{w.experiment.path}: the input is taken to have been 0 before the record, as its first moments say."
+        for w in problem.windows
+        if w.simulator.before == "zero"
+    ]
+
+
 def remembers_input(plant: Plant) -> bool:
     """Say whether what the input was before matters: behind a delay, a lag, or a sensor that is late."""
     late = bool(np.any(plant.delays)) or plant.latest > 0.0

@@ -41,8 +41,8 @@ def within_reach(model: Model, experiment: Experiment) -> Experiment:
     """
     rate = growth_rate(model, experiment)
     length = experiment.samples * experiment.dt
-    if rate * length < RUNS_AWAY:
-        return experiment
+    if not rate * length >= RUNS_AWAY or not np.isfinite(rate):
+        return experiment  # what cannot be linearised is left to the simulation, which says where it diverges
     seconds = FOLLOWED / rate
     reach = max(int(seconds / experiment.dt), 2)
     note = (

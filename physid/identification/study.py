@@ -13,7 +13,7 @@ import numpy as np
 from physid.effects.catalogue import add_effects, load_model
 from physid.errors import DivergedError, InputError, RecordError
 from physid.identification.accuracy import refine_steps, with_substeps
-from physid.identification.beginnings import with_likely_beginnings
+from physid.identification.beginnings import beginning_notes, with_likely_beginnings
 from physid.identification.estimate import Estimate
 from physid.identification.experiment import (
     Experiment,
@@ -146,6 +146,7 @@ def prepare(
         states = None if note else states
         notes += [note] if note else []
     problem = with_likely_beginnings(problem, theta)
+    notes += beginning_notes(problem)
     long = windowed(problem, LONG)
     options.report("choosing the integration step", 0.25)
     long, error = refine_steps(long, theta, long.states(), options.steps or 1, most=options.steps)

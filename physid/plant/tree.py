@@ -140,17 +140,7 @@ def workspace(bodies, joints):  # type: ignore[no-untyped-def]
 
 @kept(nogil=True, error_model="numpy")
 def mass_and_bias(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per stage, and hot
-    parents,
-    dofs,
-    bodies,
-    joints,
-    ancestors,
-    fixed,
-    gravity,
-    work,
-    state,
-    mass,
-    bias,
+    parents, dofs, bodies, joints, ancestors, fixed, gravity, work, state, mass, bias
 ):
     """Write the mass matrix (nv, nv) and the forces of motion and gravity (nv,) at a state (2 nv + ...).
 

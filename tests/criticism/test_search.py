@@ -364,12 +364,12 @@ def test_a_law_that_bends_is_started_from_half_and_twice_what_bends_it(rubbing, 
     found = refitted(rubbing)
     assert in_other_shapes(rubbing.base, found) is found  # it leaves noise
     monkeypatch.setattr(refitting, "SHAPES", (0.5, 2.0, 3.0))
-    lag = Placed(
+    law = Placed(
         EFFECTS["stribeck_friction"],
         HINGE,
         {"force": 0.1, "static_force": 0.2, "stribeck_velocity": 1.0},
     )
-    start = Start(lag, rubbing.base.fits["long"].theta)
+    start = Start(law, rubbing.base.fits["long"].theta)
     wide = refit(
         rubbing.base, rubbing.base.problems["long"], [start], rubbing.scales[HINGE], rank=0
     )

@@ -42,6 +42,8 @@ def test_the_record_tells_what_the_input_was_before(effect, before):
     model = with_effect(effect, MOTOR, **LATE[effect])
     study = prepare(model, [record_of(model, before)], Options(fit=[]))
     assert {w.simulator.before for w in study.problem.windows} == {before}
+    told = [n for n in study.notes if "taken to have been 0 before the record" in n]
+    assert len(told) == (before == "zero")
     problem = study.problem
     assert states_only(problem).squares < 1.5 * problem.measurements()
     other = [

@@ -1,5 +1,7 @@
 """How far a model can be followed from one initial state, and fits of rigs that no model follows for long."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -153,3 +155,11 @@ def test_friction_of_a_balanced_pole_is_found_and_earns_its_place():
     assert effect["parameters"][0]["value"] == pytest.approx(0.3, rel=0.05)
     errors = [step["test"]["angle"] for step in refined["steps"]]
     assert errors[-1] < 0.3 * errors[0]
+
+
+def test_a_model_that_cannot_be_linearised_is_left_to_its_simulation(monkeypatch):
+    from physid.identification import reach
+
+    monkeypatch.setattr(reach, "growth_rate", lambda model, record: float("nan"))
+    record = SimpleNamespace(samples=100, dt=0.01)
+    assert reach.within_reach(None, record) is record
