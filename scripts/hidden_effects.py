@@ -81,7 +81,7 @@ def _refined(trial: Trial, folder: Path, api: Any, jobs: int = 1) -> dict[str, A
 
 def single(seed: int, number: int, folder: Path, *, rigs: Sequence[str] = ()) -> Line:
     """Test one effect at one place, chosen before the data are seen, where nothing is missing."""
-    from physid.criticism.diagnosis import benches, judge, judging_spans
+    from physid.criticism.diagnosis import benches, judge
     from physid.criticism.refit import Start, refit
     from physid.criticism.search import base_of, sharpened, windows_of
     from physid.identification.screening import possible_candidates, screen
@@ -93,7 +93,7 @@ def single(seed: int, number: int, folder: Path, *, rigs: Sequence[str] = ()) ->
     ready = prepare(folder / "model.xml", [folder / "train.csv"], Options(fit=fit, seed=trial.seed))
     ready = sharpened(ready)
     base, candidates = base_of(ready), possible_candidates(ready.problem)
-    judging = benches({h: windows_of(ready, h, judging_spans) for h in base.fits}, base)
+    judging = benches({h: windows_of(ready, h, base.split.judging) for h in base.fits}, base)
     # What cannot be fitted, or is no longer itself at what is fitted, is never judged.
     for k in np.random.default_rng(trial.seed).permutation(len(candidates)):
         shapes = screen(base.problems["long"], base.fits["long"], [candidates[k]])

@@ -18,6 +18,8 @@ from physid.identification.windows import Span
 
 HORIZONS = {"short": SHORT, "long": LONG, "block": float("inf")}
 """Window lengths in typical periods at which candidates are fitted and judged."""
+NOISE_LIKE = 1.25
+"""A residual within this factor of the noise's variance is explained."""
 NOISE_ALONE = 1.03
 """A residual within this factor leaves nothing for another start, nor for an effect that contains the one
 that left it; for the latter not asked for where MuJoCo simulates, whose friction leaves more than noise at
@@ -28,16 +30,24 @@ PART = 3
 """One window in so many tells starts apart."""
 
 
-def choosing_spans(samples: int) -> list[Span]:
-    """Return the stretches used for choosing: the first and the fourth to fifth sixth-pairs of a record."""
-    sixth = samples // 6
-    return [(0, 2 * sixth), (3 * sixth, 5 * sixth)]
+@dataclass(frozen=True, slots=True)
+class Split:
+    """What of a record serves to choose, and what is kept for judging: of each of some pieces the last third."""
+
+    pieces: int = 2
+
+    def choosing(self, samples: int) -> list[Span]:
+        """Return the stretches used for choosing."""
+        third = samples // (3 * self.pieces)
+        return [(3 * k * third, (3 * k + 2) * third) for k in range(self.pieces)]
+
+    def judging(self, samples: int) -> list[Span]:
+        """Return the stretches kept for judging."""
+        third = samples // (3 * self.pieces)
+        return [((3 * k + 2) * third, (3 * k + 3) * third) for k in range(self.pieces)]
 
 
-def judging_spans(samples: int) -> list[Span]:
-    """Return the stretches kept for judging: a sixth after each stretch used for choosing."""
-    sixth = samples // 6
-    return [(2 * sixth, 3 * sixth), (5 * sixth, 6 * sixth)]
+HALVES = Split()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,13 +55,14 @@ class Base:
     """The base model on the choosing data: problem, fit and linearisation at each horizon.
 
     A horizon without a linearisation is one next to which the simulation diverges.  ``few`` is the same
-    on a part of the windows, where there are enough of them.
+    on a part of the windows, where there are enough of them; ``split`` says what data were chosen on.
     """
 
     problems: dict[str, Problem]
     fits: dict[str, Estimate]
     points: dict[str, Reduced]
     few: Base | None = None
+    split: Split = HALVES
 
     def guess(self, problem: Problem, horizon: str) -> Guess:
         """Return how to linearise a candidate roughly: what it shares with the base is known."""

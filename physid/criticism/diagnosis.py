@@ -9,10 +9,10 @@ from typing import Any, Literal
 import numpy as np
 
 from physid.criticism.account import effect_row, finite
-from physid.criticism.base import Base, judging_spans
+from physid.criticism.base import NOISE_LIKE, Base, Split
 from physid.criticism.evidence import Bench, Judgement, benches, judge
 from physid.criticism.leads import Lead, lead_notes, possible_leads, sites_of
-from physid.criticism.merit import LEAST_GAIN, NOISE_LIKE, explained, score
+from physid.criticism.merit import LEAST_GAIN, explained, quiet_base, scores, spread_of_states
 from physid.criticism.refit import Refit
 from physid.criticism.search import base_of, search, sharpened, windows_of
 from physid.identification.estimate import Estimate
@@ -34,6 +34,9 @@ TOLD_APART = 10.0
 """Difference of the information criterion below which two candidates are not told apart."""
 DRIFTED = 2.0
 """Mean squares over the noise's that a model from which nothing is missing leaves at most at any horizon."""
+
+FINER_SPLIT = Split(4)
+"""... where what is missing shows only in stretches that are kept for judging, as a resonance does in a sweep."""
 
 PROPER = ("coulomb", "stribeck")
 """Words of effects that are the names of people."""
@@ -106,6 +109,10 @@ def diagnose_study(
     possible = possible_leads(study, leads)
     report("fitting the model as it stands", 0.0)
     base = base_of(study, known)
+    judging = _judging(study, base)
+    if quiet_base(base) and _tells_more(judging):
+        base = base_of(study, split=FINER_SPLIT)
+        judging = _judging(study, base)
     candidates = possible_candidates(study.problem)
     tried = len({*((e.name, p) for e, p in candidates), *sites_of(study.model, possible)})
     fits = search(
@@ -117,9 +124,8 @@ def diagnose_study(
         singly=beside,
     )
     report("judging on data not used for the choice", 0.9)
-    judging = benches({h: windows_of(study, h, judging_spans) for h in base.fits}, base)
     ranked = _ranked(base, judging, fits, max(tried, 1))
-    verdict, sentence = _verdict(study, base, ranked, NAMED_BESIDE if beside else NAMED)
+    verdict, sentence = _verdict(study, base, judging, ranked, NAMED_BESIDE if beside else NAMED)
     report("diagnosed", 1.0)
     long = base.fits["long"].squares / base.problems["long"].measurements()
     return Diagnosis(
@@ -131,6 +137,26 @@ def diagnose_study(
         noise_ratio=long,
         notes=lead_notes(study.model, leads, possible),
     )
+
+
+def _judging(study: Study, base: Base) -> dict[str, Bench]:
+    """Put the base model on the data kept for judging."""
+    return benches({h: windows_of(study, h, base.split.judging) for h in base.fits}, base)
+
+
+def _tells_more(judging: Mapping[str, Bench]) -> bool:
+    """Say whether data kept for judging show a lack; where those for choosing do not, a finer split shares it out."""
+    return any(left > NOISE_LIKE for left in _left_at_best(judging))
+
+
+def _left_at_best(judging: Mapping[str, Bench]) -> list[float]:
+    """Return mean squares over the noise's that the base leaves on judging data even when fitted there.
+
+    Short windows are heard only where no longer ones can be.
+    """
+    grounds = {h: b.ground for h, b in judging.items()}
+    longer = {h: g for h, g in grounds.items() if h != "short"} or grounds
+    return [g.estimate.squares / g.problem.measurements() for g in longer.values()]
 
 
 def with_effects(study: Study, candidate: Candidate, horizon: str = "long") -> Study:
@@ -176,34 +202,40 @@ def _ranked(
     base: Base, judging: Mapping[str, Bench], fits: Sequence[Refit], tried: int
 ) -> list[Candidate]:
     out = []
-    for fit in fits:
+    values = scores(base, fits, tuple(base.fits))
+    for fit, value in zip(fits, values, strict=True):
         judgement = judge(judging, fit)
         attempts = tried if len(fit.added) == 1 else tried * (tried - 1) // 2
         out.append(
             Candidate(
                 refit=fit,
-                score=score(base, fit, tuple(base.fits)),
+                score=value,
                 explained=explained(base, fit),
                 p_value=min(1.0, judgement.p_value * max(attempts, 1) * fit.instants),
                 judgement=judgement,
             )
         )
-    return [replace(c, alike=_alike(out, k)) for k, c in enumerate(out)]
+    return [replace(c, alike=_alike(base, out, k)) for k, c in enumerate(out)]
 
 
-def _alike(candidates: Sequence[Candidate], k: int) -> tuple[int, ...]:
+def _alike(base: Base, candidates: Sequence[Candidate], k: int) -> tuple[int, ...]:
     own = candidates[k]
     return tuple(
         i
         for i, other in enumerate(candidates)
         if i != k
-        and abs(other.score - own.score) < TOLD_APART
+        and abs(other.score - own.score)
+        < TOLD_APART + 2.0 * spread_of_states(base, own.refit, other.refit)
         and not set(own.refit.sites()) < set(other.refit.sites())
     )
 
 
 def _verdict(
-    study: Study, base: Base, ranked: Sequence[Candidate], named: float
+    study: Study,
+    base: Base,
+    judging: Mapping[str, Bench],
+    ranked: Sequence[Candidate],
+    named: float,
 ) -> tuple[Verdict, str]:
     ratio = base.fits["long"].squares / base.problems["long"].measurements()
     if ranked and _real(base, ranked[0]):
@@ -215,7 +247,8 @@ def _verdict(
             "Something is missing that no effect of the catalogue explains: the best candidate, "
             f"{describe(best.refit)}, removes {100 * best.explained:.0f} % of the excess error."
         )
-    longest = max(f.squares / base.problems[h].measurements() for h, f in base.fits.items())
+    chosen = [f.squares / base.problems[h].measurements() for h, f in base.fits.items()]
+    longest = max(*chosen, *_left_at_best(judging))
     if ratio < NOISE_LIKE and longest < DRIFTED:
         return "nothing_missing", (
             "Nothing is missing: the residual is within the measurement noise and no effect of the "

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from physid.criticism.base import Base
+from physid.criticism.base import NOISE_LIKE, Base
 from physid.criticism.evidence import colour
 from physid.criticism.refit import Refit
 from physid.identification.problem import Problem
@@ -14,26 +14,51 @@ from physid.identification.windows import state_indices
 
 LEAST_GAIN = 12.0
 """Smallest fall of the information criterion that is not chance."""
-NOISE_LIKE = 1.25
-"""A residual within this factor of the noise's variance is explained."""
 
 
-def score(base: Base, fit: Refit, horizons: Sequence[str]) -> float:
-    """Return the mean over horizons of n_eff log(variance after / before), plus extra log n_eff.
+def scores(base: Base, fits: Sequence[Refit], horizons: Sequence[str]) -> list[float]:
+    """Return every candidate's mean over horizons of n_eff log(variance after / before), plus extra log n_eff.
 
     It is Bayes' information criterion (Schwarz, Ann. Stat. 6, 1978) with n over the residual's
     correlation time for the number of samples.  The variances are squares over what the windows' free
-    initial states leave of the measurements, so that a memory's own are no advantage.
+    initial states leave of the measurements, so that a memory's own are no advantage.  n_eff is
+    that of the candidate that leaves least: by their own, noise that is of one colour by chance would tell
+    candidates apart that leave the same.
+    """
+    if not fits:
+        return []
+    least = [min(fits, key=lambda f: f.fits[h].squares) for h in horizons]
+    sizes = [effective_samples(base, f, h) for f, h in zip(least, horizons, strict=True)]
+    price = np.log(max(float(np.mean(sizes)), 2.0))
+    found = []
+    for fit in fits:
+        total = 0.0
+        for horizon, size in zip(horizons, sizes, strict=True):
+            left = _freedom(base.problems[horizon], base.problems[horizon])
+            share = left / _freedom(base.problems[horizon], fit.problem)
+            total += size * np.log(max(share * fit.ratio(base, horizon), 1e-12))
+        found.append(float(total / len(horizons) + fit.extra * price))
+    return found
+
+
+def spread_of_states(base: Base, one: Refit, other: Refit) -> float:
+    """Return the standard deviation of the difference of two scores that noise makes through initial states.
+
+    A candidate that remembers has one state more in every window.  What these take from the noise is allowed
+    for on the average, and differs from it by the spread of a chi-square.
     """
     total = 0.0
-    sizes: list[float] = []
-    for horizon in horizons:
-        size = effective_samples(base, fit, horizon)
-        sizes.append(size)
-        left = _freedom(base.problems[horizon], base.problems[horizon])
-        share = left / _freedom(base.problems[horizon], fit.problem)
-        total += size * np.log(max(share * fit.ratio(base, horizon), 1e-12))
-    return float(total / len(horizons) + fit.extra * np.log(max(float(np.mean(sizes)), 2.0)))
+    for horizon in base.fits:
+        size = effective_samples(base, one, horizon)
+        lefts = [_freedom(base.problems[horizon], f.problem) for f in (one, other)]
+        total += (size * np.sqrt(2.0 * abs(lefts[0] - lefts[1])) / min(lefts)) ** 2
+    return float(np.sqrt(total) / len(base.fits))
+
+
+def sorted_by_score(base: Base, fits: Sequence[Refit], horizons: Sequence[str]) -> list[Refit]:
+    """Return candidates best first."""
+    values = scores(base, fits, horizons)
+    return [fits[k] for k in np.argsort(values, kind="stable")]
 
 
 def _freedom(windowed: Problem, problem: Problem) -> int:
@@ -59,12 +84,13 @@ def ordered(base: Base, fits: Iterable[Refit]) -> list[Refit]:
     What remembers starts every window as it likes, and may imitate there what it does not do over long
     stretches: it comes first only if it does over the longest as well, where its initial states tell least.
     """
-    found = sorted(fits, key=lambda f: score(base, f, tuple(base.fits)))
+    found = sorted_by_score(base, list(fits), tuple(base.fits))
     longest = ("block",) if "block" in base.fits else ("long",)
     if not found or not _remembers(found[0]):
         return found
+    over_long = scores(base, found, longest)
     for k, fit in enumerate(found):
-        if not _remembers(fit) and score(base, fit, longest) < score(base, found[0], longest):
+        if not _remembers(fit) and over_long[k] < over_long[0]:
             return [fit, *found[:k], *found[k + 1 :]]
     return found
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from physid.criticism.base import NOISE_ALONE, Base
 from physid.criticism.grounds import grounds_of, screened
-from physid.criticism.merit import explained, halves, noise_like, score
+from physid.criticism.merit import explained, halves, noise_like, scores, sorted_by_score
 from physid.criticism.refit import Refit, Start, refit, start_of, with_block, with_candidate
 from physid.errors import NumericsError
 from physid.identification.estimate import Estimate
@@ -165,7 +165,7 @@ def _simpler(
             if placed.place == own.place and placed.effect.name in own.effect.supersedes:
                 other = _exchanged_for(base, pair, own, placed, scales[own.place])
                 found += [other] if other is not None and other.plausible(scales) else []
-    return min(found, key=lambda f: score(base, f, ("short", "long")), default=pair)
+    return (sorted_by_score(base, found, ("short", "long")) or [pair])[0]
 
 
 def exchanged(
@@ -177,18 +177,17 @@ def exchanged(
     they need not.
     """
     alone = {f.sites()[0]: f for f in singles if len(f.added) == 1}
-    horizons = ("short", "long")
+    values = dict(zip(alone, scores(base, [*alone.values()], ("short", "long")), strict=True))
     found = []
     for site, own in zip(pair.sites(), pair.fitted, strict=True):
         partner = next(p for p in pair.fitted if not p.same_site(own))
         if site not in alone:
             continue
-        enough = LIKE * score(base, alone[site], horizons)
-        for single in alone.values():
+        for other_site, single in alone.items():
             placed = single.fitted[0]
             if placed.same_site(own) or _overlap(placed, partner):
                 continue
-            if score(base, single, horizons) > enough or placed.place not in scales:
+            if values[other_site] > LIKE * values[site] or placed.place not in scales:
                 continue
             other = _exchanged_for(base, pair, own, placed, scales[placed.place])
             if other is not None:

@@ -19,6 +19,7 @@ from physid.criticism.account import (
     simulation_row,
     worst_channels,
 )
+from physid.criticism.base import NOISE_LIKE
 from physid.criticism.comparison import (
     Lack,
     Result,
@@ -36,7 +37,7 @@ from physid.criticism.diagnosis import (
 )
 from physid.criticism.leads import read_leads, silence_notes
 from physid.criticism.localisation import where
-from physid.criticism.merit import LEAST_GAIN, NOISE_LIKE
+from physid.criticism.merit import LEAST_GAIN
 from physid.criticism.pictures import diagnosis_curves, tested_curves
 from physid.criticism.refit import start_of, with_candidate
 from physid.effects.catalogue import load_model_text

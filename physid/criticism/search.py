@@ -8,17 +8,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from physid.criticism.base import HORIZONS, NOISE_ALONE, Base, choosing_spans, judging_spans
+from physid.criticism.base import HALVES, HORIZONS, NOISE_ALONE, NOISE_LIKE, Base, Split
 from physid.criticism.evidence import nrmse
 from physid.criticism.grounds import Group, grounds_for, grounds_of, screened
 from physid.criticism.leads import Lead, led
 from physid.criticism.merit import (
     LEAST_GAIN,
-    NOISE_LIKE,
     noise_like,
     ordered,
     quiet_base,
-    score,
+    scores,
+    sorted_by_score,
 )
 from physid.criticism.pairs import PARTNERS, REFITS, exchanged, pairs_beside, wanting_partners
 from physid.criticism.refit import (
@@ -70,7 +70,7 @@ NEARLY = 0.01
 MUCH_LONGER = 1.5
 """Length of whole stretches over that of long windows from which they are a horizon of their own."""
 RIVALLING, SETTLED_BY = 1.1, 0.5
-"""Squares on every horizon, over those of the best, of candidates that are brought to their minimum, and what
+"""Squares on a long horizon, over those of the best, of candidates that are brought to their minimum, and what
 another step there must be expected to gain: candidates are told apart by less than ends a fit on its way."""
 CONTENDING = 10.0
 """... of those whose steps are looked at: what a step too long leaves may be all that tells them apart."""
@@ -146,7 +146,7 @@ def _searched(
     noise = float(long.measurements())
     halfway = min(0.5 * (worst + noise), worst - LEAST_GAIN)
     limit = min(max(rival * noise, NEARLY * worst), halfway)
-    kept = windowed(study.problem, HORIZONS["long"], judging_spans)
+    kept = windowed(study.problem, HORIZONS["long"], base.split.judging)
     later: list[int] = []
     order = _cheapest_first(groups)
     if quiet:
@@ -167,7 +167,11 @@ def _searched(
         near = limit if explaining and not followed_all else np.inf
         goal = min(limit if explaining else np.inf, _goal(base, fits))
         fits += _refitted(base, long, kept, group, k, near, goal)
-    fits = _best_with_blocks(base, _with_siblings(base, fits, scales), scales)
+    on_windows = _best_on_windows(base, fits)
+    fits = _best_with_blocks(base, _with_siblings(base, fits, scales, on_windows), scales)
+    if fits and fits[0].sites() != (on_windows or fits[0]).sites():
+        # Whole stretches may speak for another law than windows, and for one that contains it.
+        fits = _best_with_blocks(base, _with_siblings(base, fits, scales, fits[0]), scales)
     if later and fits and not _leaves_noise(base, fits[0]):
         report("refitting what contains it", 0.65)
         least = fits[0].fits["long"].squares
@@ -180,7 +184,8 @@ def _searched(
     singles = fits
     pairs = pairs_beside(base, fits, partnered, candidates, limit, scales)
     if pairs:
-        fits = _with_siblings(base, [*fits, *pairs], scales)
+        fits = [*fits, *pairs]
+        fits = _with_siblings(base, fits, scales, _best_on_windows(base, fits))
     fits = _best_with_blocks(base, fits, scales)
     if not fits or len(fits[0].added) < 2:
         return fits
@@ -196,11 +201,62 @@ def _at_their_minimum(study: Study, base: Base, fits: list[Refit]) -> list[Refit
     if not study.options.steps:
         fits = [_in_shorter_steps(base, f) if _within(CONTENDING, f, fits[0]) else f for f in fits]
         fits = ordered(base, fits)
-    rivals = [f for f in fits if _within(RIVALLING, f, fits[0])]
+    rivals = [f for f in fits if _rivals(f, fits[0])]
     if len(rivals) < 2:
         return fits
     done = [_fitted_on(base, f) if any(f is r for r in rivals) else f for f in fits]
-    return ordered(base, done)
+    best = ordered(base, done)[0]
+    return ordered(base, [_caught_up(base, f, best) if _rivals(f, best) else f for f in done])
+
+
+def _rivals(fit: Refit, best: Refit) -> bool:
+    """Say whether a candidate leaves about as little as the best on some long horizon, or is the same effect elsewhere.
+
+    On the other horizons it may be on its way.
+    """
+    return _is_elsewhere(fit, best) or any(
+        fit.fits[h].squares < RIVALLING * best.fits[h].squares
+        for h in fit.fits
+        if h != "short" and h in best.fits
+    )
+
+
+def _caught_up(base: Base, fit: Refit, best: Refit) -> Refit:
+    """Return a candidate fitted from elsewhere where it leaves clearly more than the best one.
+
+    That is from its other horizons, and from where the best one ended, whose own coefficients it takes over if it
+    is the same effect at another place.
+    """
+    fits = dict(fit.fits)
+    for horizon, known in fit.fits.items():
+        if fit is best or known.squares < best.fits[horizon].squares + LEAST_GAIN:
+            continue
+        problem = fit.on(base.problems[horizon].windows)
+        others = [e.theta for h, e in fit.fits.items() if h != horizon]
+        for theta in [*others, _taken_over(fit, best, horizon)]:
+            with suppress(NumericsError):
+                found = fit_windows(problem, theta, followed(problem, theta))
+                fits[horizon] = min(fits[horizon], found, key=lambda e: e.chi2)
+    return replace(fit, fits=fits)
+
+
+def _taken_over(fit: Refit, best: Refit, horizon: str) -> np.ndarray:
+    """Return a candidate's parameters with those of the best one that it shares, or has at its own place."""
+    values = {
+        p.name: v for p, v in zip(best.problem.parameters, best.fits[horizon].theta, strict=True)
+    }
+    if _is_elsewhere(fit, best):
+        for own, placed in zip(fit.added, best.fitted_at(horizon), strict=True):
+            for c in own.effect.coefficients:
+                values[fit.problem.model.coefficient_name(own, c)] = placed.values[c.name]
+    known = zip(fit.problem.parameters, fit.fits[horizon].theta, strict=True)
+    return np.array([np.clip(values.get(p.name, v), p.lower, p.upper) for p, v in known])
+
+
+def _is_elsewhere(fit: Refit, best: Refit) -> bool:
+    """Say whether two candidates are the same effects at other places."""
+    names = [[p.effect.name for p in f.added] for f in (fit, best)]
+    return names[0] == names[1] and fit.sites() != best.sites()
 
 
 def _within(factor: float, fit: Refit, best: Refit) -> bool:
@@ -328,7 +384,7 @@ def sharpened(study: Study) -> Study:
     They are the same at every sample, noise is not: a tenth of the noise passes for an effect in a record of
     some thousand samples.  Where a run of MuJoCo's is dear, its friction leaves more than that at any step.
     """
-    long = windows_of(study, "long", choosing_spans)
+    long = windows_of(study, "long", HALVES.choosing)
     share = 1.0 / np.sqrt(long.measurements())
     if study.integration_error <= share or not quick(long) or study.options.steps:
         return study
@@ -341,7 +397,9 @@ def sharpened(study: Study) -> Study:
     return study
 
 
-def base_of(study: Study, known: Mapping[str, Estimate] | None = None) -> Base:
+def base_of(
+    study: Study, known: Mapping[str, Estimate] | None = None, split: Split = HALVES
+) -> Base:
     """Fit the base model on the choosing data at every horizon it can be simulated over.
 
     Parameters
@@ -349,18 +407,20 @@ def base_of(study: Study, known: Mapping[str, Estimate] | None = None) -> Base:
     study : Study
     known : mapping of str to Estimate, optional
         Fits of this model at some horizons, whose initial states are near the right ones.
+    split : Split, optional
+        What of the records is chosen on.
 
     Raises
     ------
     DivergedError
         If it diverges over short windows too.
     """
-    problems = {h: windows_of(study, h, choosing_spans) for h in HORIZONS}
+    problems = {h: windows_of(study, h, split.choosing) for h in HORIZONS}
     fits: dict[str, Estimate] = {}
     with suppress(NumericsError):
         fits = _fitted_before(study, problems, known or {})
     if not fits:
-        fits = _fitted_afresh(study, problems)
+        fits = _fitted_afresh(study, problems, split)
     if "block" not in fits and _much_longer(problems["block"], problems["long"]):
         with suppress(NumericsError):
             fits["block"] = _fitted_from(problems["block"], fits["long"].theta)
@@ -372,7 +432,7 @@ def base_of(study: Study, known: Mapping[str, Estimate] | None = None) -> Base:
             points[h] = reduce(problems[h], f.theta, f.states, f.residuals)
     if "block" not in points:
         fits.pop("block", None)
-    return Base(problems=problems, fits=fits, points=points).with_few()
+    return Base(problems=problems, fits=fits, points=points, split=split).with_few()
 
 
 def _fitted_from(problem: Problem, theta: np.ndarray) -> Estimate:
@@ -393,14 +453,14 @@ def _fitted_before(
     return {h: fit_windows(problems[h], study.theta, e.states) for h, e in known.items()}
 
 
-def _fitted_afresh(study: Study, problems: dict[str, Problem]) -> dict[str, Estimate]:
+def _fitted_afresh(study: Study, problems: dict[str, Problem], split: Split) -> dict[str, Estimate]:
     """Fit windows; the long ones are made shorter where the model cannot be followed over them."""
     try:
         long = _fitted_from(problems["long"], study.theta)
     except NumericsError:
         # What runs away over long windows may be followed over shorter ones, and from a better start.
         theta = fit_windows(problems["short"], study.theta).theta
-        problems["long"], long = _followed(study, problems["long"], theta)
+        problems["long"], long = _followed(study, problems["long"], theta, split)
     fits = {"short": fit_windows(problems["short"], long.theta), "long": long}
     if quick(problems["long"]):
         again = _fitted_from(problems["long"], fits["short"].theta)
@@ -416,38 +476,48 @@ def _much_longer(blocks: Problem, long: Problem) -> bool:
     )
 
 
-def _followed(study: Study, long: Problem, theta: np.ndarray) -> tuple[Problem, Estimate]:
+def _followed(
+    study: Study, long: Problem, theta: np.ndarray, split: Split
+) -> tuple[Problem, Estimate]:
     """Return the longest windows over which the base model does not diverge, half as long each, and its fit."""
     for periods in (0.5 * HORIZONS["long"], HORIZONS["short"]):
         with suppress(NumericsError):
             return long, fit_windows(long, theta)
-        long = thinned(windowed(study.problem, periods, choosing_spans), ENOUGH)
+        long = thinned(windowed(study.problem, periods, split.choosing), ENOUGH)
     return long, fit_windows(long, theta)
 
 
-def _with_siblings(base: Base, fits: list[Refit], scales: dict[Place, Scales]) -> list[Refit]:
+def _best_on_windows(base: Base, fits: Sequence[Refit]) -> Refit | None:
+    return next(iter(sorted_by_score(base, fits, ("short", "long"))), None)
+
+
+def _with_siblings(
+    base: Base, fits: list[Refit], scales: dict[Place, Scales], best: Refit | None
+) -> list[Refit]:
     """Start effects that contain the best fit from it as well: they can only be as good or better.
 
     One effect that does as much as two takes their place.
     """
-    if not fits:
+    if best is None:
         return fits
-    horizons = ("short", "long")
-    best = min(fits, key=lambda f: score(base, f, horizons))
     inner, place = best.fitted, best.added[0].place
     if any(p.place != place for p in inner):
         return fits
     out = list(fits)
+    # How fast it moves is known better from what explains much than from the model that lacks it.
+    sizes = scales_of(best.on(base.problems["long"].windows), best.fits["long"]).get(place)
+    sizes = sizes or scales[place]
     for effect in effects_of(best.problem.model):
-        values = effect.contains(inner) if place.kind in effect.kinds else None
-        if values is None:
+        values = effect.beyond(inner, sizes) if place.kind in effect.kinds else ()
+        if not values:
             continue
         theta = start_of(best.problem, best.fits["long"].theta, base.problems["long"])
-        start = Start(Placed(effect, place, values), theta)
-        found = refit(base, base.problems["long"], [start], scales[place], rank=best.rank)
+        starts = [Start(Placed(effect, place, v), theta) for v in values]
+        found = refit(base, base.problems["long"], starts, sizes, rank=best.rank)
         if found is None:
             continue
-        if len(inner) > 1 and score(base, found, horizons) < score(base, best, horizons) + SAME:
+        one, two = scores(base, [found, best], ("short", "long"))
+        if len(inner) > 1 and one < two + SAME:
             out = [f for f in out if f is not best]
         out.append(found)
     return _better_of(out, base)
@@ -456,12 +526,8 @@ def _with_siblings(base: Base, fits: list[Refit], scales: dict[Place, Scales]) -
 def _better_of(fits: Sequence[Refit], base: Base) -> list[Refit]:
     """Keep the better of two fits of the same effects."""
     best: dict[frozenset[tuple[str, str]], Refit] = {}
-    for fit in fits:
-        sites = frozenset(fit.sites())
-        if sites not in best or score(base, fit, ("short", "long")) < score(
-            base, best[sites], ("short", "long")
-        ):
-            best[sites] = fit
+    for fit in sorted_by_score(base, fits, ("short", "long")):
+        best.setdefault(frozenset(fit.sites()), fit)
     return list(best.values())
 
 
@@ -470,8 +536,8 @@ def _best_with_blocks(
 ) -> list[Refit]:
     """Keep the best candidates on windows, fit those on whole stretches, and sort them all."""
     horizons = ("short", "long")
-    by_windows = sorted(fits, key=lambda f: score(base, f, horizons))
-    clear = bool(by_windows) and score(base, by_windows[0], horizons) < -LEAST_GAIN
+    by_windows = sorted_by_score(base, fits, horizons)
+    clear = bool(by_windows) and scores(base, by_windows, horizons)[0] < -LEAST_GAIN
     promising = by_windows[: SHOWN if clear else FEW]
     done: list[Refit] = []
     for fit in promising:

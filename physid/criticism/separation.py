@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from physid.criticism.base import HORIZONS, Base, choosing_spans
+from physid.criticism.base import HALVES, HORIZONS, Base
 from physid.criticism.refit import Refit
 from physid.errors import DivergedError
 from physid.identification.experiment import Experiment
@@ -203,7 +203,7 @@ def _on_windows(
         shortest = min(e.samples * e.dt for e in (*old, experiment))
         seconds = min(seconds, shortest / 6.0)
     simulator = rival.problem.windows[0].simulator
-    windows = cut(experiment, simulator, seconds, choosing_spans(experiment.samples))
+    windows = cut(experiment, simulator, seconds, HALVES.choosing(experiment.samples))
     problem = rival.problem.with_windows([windows])
     if most is None or not np.isfinite(seconds):
         return problem, 1.0

@@ -18,6 +18,8 @@ SMALL = 0.02
 """Size of a screened effect relative to the forces at its place: small enough to be linear."""
 HIGHEST_RISE = 5.0
 """Largest breakaway force relative to sliding friction that is still Stribeck's."""
+RISE = 1.5
+"""... with which it is fitted from where Coulomb friction is known."""
 UNEVEN = 0.1
 """Smallest difference between the directions, relative to the mean, that is called asymmetric."""
 NARROWEST, WIDEST = 1e-3, 0.05
@@ -97,16 +99,16 @@ class AsymmetricFriction(Effect):
         add_friction_loss(spec, place, 0.5 * (forward + backward))
         add_passive_force(spec, place, self.name, -0.5 * (forward - backward), 0.0, 0.5 * np.pi)
 
-    def contains(self, inner: Sequence[Placed]) -> dict[str, float] | None:
+    def beyond(self, inner: Sequence[Placed], scales: Scales) -> Sequence[dict[str, float]]:
         names = [p.effect.name for p in inner]
         if CoulombFriction.name not in names or not {*names} <= {*self.supersedes}:
-            return None
+            return ()
         mean = sum(p.values["force"] for p in inner if p.effect.name == CoulombFriction.name)
         load = sum(p.values["force"] for p in inner if p.effect.name != CoulombFriction.name)
         forward, backward = mean - load, mean + load
         if min(forward, backward) < 0.0:
-            return None
-        return {"force_positive": forward, "force_negative": backward}
+            return ()
+        return ({"force_positive": forward, "force_negative": backward},)
 
     def plausible(self, values: Mapping[str, float], scales: Scales) -> bool:
         forward, backward = values["force_positive"], values["force_negative"]
@@ -195,6 +197,19 @@ class StribeckFriction(Effect):
             )
             for s in self.speeds
         )
+
+    def beyond(self, inner: Sequence[Placed], scales: Scales) -> Sequence[dict[str, float]]:
+        if [p.effect.name for p in inner] != [CoulombFriction.name]:
+            return ()
+        force = inner[0].values["force"]
+        return [
+            {
+                "force": force,
+                "static_force": RISE * force,
+                "stribeck_velocity": s * scales.speed,
+            }
+            for s in self.speeds
+        ]
 
     def limits(self, scales: Scales) -> Mapping[str, tuple[float, float]]:
         # A fall that stretches over all speeds is not Stribeck's: it imitates drag or damping.

@@ -36,6 +36,8 @@ CONTENDERS = 20
 shapes in between gain little more than those next to them."""
 FEWEST_WINDOWS = 4
 """Windows from which on a third of them tells shapes apart."""
+SAME = 1e-3
+"""Share by which gains may differ that are the same: a constant load and a sensor's offset, on a spring."""
 MOST_SAMPLES = 12000
 """Samples used for screening; more are thinned by leaving out windows."""
 _Score = tuple[float, Trial, np.ndarray, np.ndarray]
@@ -332,8 +334,22 @@ def _making_room(ground: Ground, response: np.ndarray) -> np.ndarray:
 
 
 def shortlist(scored: Sequence[Scored], most: int) -> list[tuple[str, Place]]:
-    """Return the first so many effects and places, in the order of their best scores."""
-    return list(dict.fromkeys((s.effect.name, s.place) for s in scored))[:most]
+    """Return the first so many effects and places, in the order of their best scores.
+
+    Those that gain the same do the same, by what names they may be called, and count as one.
+    """
+    best: dict[tuple[str, Place], float] = {}
+    for s in scored:
+        best.setdefault((s.effect.name, s.place), s.gain)
+    listed: list[tuple[str, Place]] = []
+    last, count = np.inf, 0
+    for site, gain in best.items():
+        if gain < (1.0 - SAME) * last:
+            last, count = gain, count + 1
+        if count > most:
+            break
+        listed.append(site)
+    return listed
 
 
 def with_shape(

@@ -221,12 +221,13 @@ class Effect(ABC):
         """Say whether fitted values still are this effect, and do not imitate another."""
         return True
 
-    def contains(self, inner: Sequence[Placed]) -> dict[str, float] | None:
-        """Return the values at which it is the same as other effects at its place together.
+    def beyond(self, inner: Sequence[Placed], scales: Scales) -> Sequence[dict[str, float]]:
+        """Return values to fit it from where other effects at its place nearly explain the data.
 
-        None if it does not contain them.
+        At these it is the same as they are together, or near to that where it is the same along a ridge.
+        Empty if it does not contain them.
         """
-        return None
+        return ()
 
     def start(self, trial: Trial, amplitudes: np.ndarray, scales: Scales) -> dict[str, float]:
         """Turn a screened trial and its least-squares amplitudes into starting values."""

@@ -450,7 +450,7 @@ def test_steps_are_finer_where_integration_errors_would_be_evidence(rubbing):
 
 def test_short_windows_are_heard_only_where_no_longer_ones_can_be(rubbing, monkeypatch):
     base, found = rubbing.base, with_block(rubbing.base, refitted(rubbing))
-    judging = {h: search.windows_of(rubbing.study, h, search.judging_spans) for h in base.fits}
+    judging = {h: search.windows_of(rubbing.study, h, base.split.judging) for h in base.fits}
     bench = evidence.benches(judging, base)
     alone = evidence.judge({"long": bench["long"]}, found)
     both = evidence.judge({h: bench[h] for h in ("short", "long")}, found)

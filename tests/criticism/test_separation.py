@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from physid.criticism import doubt, instead, separation
-from physid.criticism.base import choosing_spans
+from physid.criticism.base import HALVES
 from physid.criticism.limits import Limit, Limits, check_limits, limits_of
 from physid.criticism.planning import Task, plan_experiment
 from physid.criticism.proposal import proposals, within
@@ -72,7 +72,7 @@ def test_separation_is_what_a_joint_refit_leaves(bench):
         old = [w.experiment for w in other.windows]
         seconds = min(1.5 * typical_period([*old, experiment]), 1.5 / 6.0)
         new = cut(
-            experiment, other.windows[0].simulator, seconds, choosing_spans(experiment.samples)
+            experiment, other.windows[0].simulator, seconds, HALVES.choosing(experiment.samples)
         )
         alone = minimise(other, rivals[j].theta, iterations=30, tolerance=1e-9).chi2
         both = replace(other, windows=(*other.windows, new))

@@ -250,12 +250,12 @@ def test_asymmetric_friction_contains_coulomb_friction_with_a_load():
     inner = Placed(effect_named("coulomb_friction"), Place("joint", "hinge"), {"force": 0.3})
     outer = effect_named("asymmetric_friction")
     load = Placed(effect_named("constant_load"), inner.place, {"force": 0.1})
-    assert outer.contains([inner]) == {"force_positive": 0.3, "force_negative": 0.3}
-    assert outer.contains([load, inner]) == pytest.approx(
+    assert [*outer.beyond([inner], SCALES)] == [{"force_positive": 0.3, "force_negative": 0.3}]
+    assert outer.beyond([load, inner], SCALES)[0] == pytest.approx(
         {"force_positive": 0.2, "force_negative": 0.4}
     )
-    assert outer.contains([inner, load.with_values({"force": 1.0})]) is None
-    assert outer.contains([load]) is None
+    assert not outer.beyond([inner, load.with_values({"force": 1.0})], SCALES)
+    assert not outer.beyond([load], SCALES)
     assert outer.plausible({"force_positive": 0.3, "force_negative": 0.1}, SCALES)
     assert not outer.plausible({"force_positive": 0.3, "force_negative": 0.3}, SCALES)
     assert text_of("cogging", "hinge", {"phase": 1.0}) == "cogging@hinge:phase=1.0"

@@ -61,7 +61,10 @@ def places(machine: Machine, effect: str) -> list[str]:
         "coulomb_friction": [*sites, *machine.tendons],
         "hysteresis": [*sites, *machine.tendons],
         "cubic_stiffness": [*sites, *(t for t in machine.tendons if t in springs)],
-        "linear_stiffness": [j for j in sites if j not in springs],
+        "linear_stiffness": [j for j in sites if not _acts_like_one_of(machine, j, springs)],
+        "viscous_damping": [
+            j for j in sites if not _acts_like_one_of(machine, j, [e for e in damped if e != j])
+        ],
         "backlash": [e for e in springs if e in seen],
         "stiffness_change": [e for e in springs if e in seen],
         "switched_damping": [e for e in damped if e in seen],
@@ -91,6 +94,13 @@ def _pairs(machine: Machine) -> list[str]:
         ):
             found.append(f"{one},{other}")
     return found
+
+
+def _acts_like_one_of(machine: Machine, location: str, elements: Sequence[str]) -> bool:
+    """Say whether the coordinate at a place is that of one of some elements: a law there is one in these."""
+    own = row_of(machine, location)
+    rows = [row_of(machine, e) for e in elements]
+    return any(own is not None and row is not None and _parallel(own, row) for row in rows)
 
 
 def _difference(machine: Machine, one: str, other: str) -> Array:

@@ -81,9 +81,17 @@ def mark(trial: Trial, refinement: Json, floor: Mapping[str, float]) -> Line:
         right, first = is_first(refinement, truth[0])
         three = first or among_first(refinement, truth[0])
     line |= {"strict": right, "first": first, "three": three}
+    line["false"] = _false(refinement, added, truth, first)
     line["covered"] = _covered(trial, refinement) if right and truth else {}
     line["reason"] = "" if first else _reason(trial, line)
     return line
+
+
+def _false(refinement: Json, added: Sequence[str], truth: Sequence[str], first: bool) -> list[str]:
+    """List what was added and is not there, but for what was said to be indistinguishable from what is."""
+    named_first = refinement["candidates"][0]["effects"] if truth and first else ()
+    excused = [*truth, *map(site, named_first)]
+    return [s for s in added if s not in excused]
 
 
 def _both(refinement: Json, added: Sequence[str], truth: Sequence[str]) -> bool:
@@ -137,7 +145,7 @@ def rates(lines: Sequence[Line]) -> list[tuple[str, int, int]]:
     outside = [x for x in lines if x["kind"] == "outside"]
     two = [x for x in lines if x["kind"] == "two"]
     right = [x for x in one if x.get("strict")]
-    added = [(s, x["truth"]) for x in lines for s in x.get("added", ())]
+    added = [x for x in lines if x.get("added")]
     covered = [hit for x in lines for hit in x.get("covered", {}).values()]
     robot = [x for x in one if x["rig"] == "two_wheel_robot" and x["missing"]]
     again = [x for x in lines if "same_with_two_jobs" in x]
@@ -158,7 +166,11 @@ def rates(lines: Sequence[Line]) -> list[tuple[str, int, int]]:
         ("near_floor", sum((x["over_floor"] or np.inf) <= NEAR for x in right), len(right)),
         ("coverage_least", sum(covered), len(covered)),
         ("coverage_most", sum(covered), len(covered)),
-        ("false_discoveries", sum(s not in truth for s, truth in added), len(added)),
+        (
+            "false_discoveries",
+            sum(len(x["false"]) for x in added),
+            sum(len(x["added"]) for x in added),
+        ),
         ("next_experiment_decides", 0, len(sets)),
         ("robot_one_sensor_missing", _hits(robot, "first"), len(robot)),
         ("same_with_two_jobs", _hits(again, "same_with_two_jobs"), len(again)),
