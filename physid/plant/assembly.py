@@ -9,7 +9,7 @@ from physid.plant.compiling import kept
 from physid.plant.model import Plant
 from physid.plant.network import Network, integrate
 from physid.plant.parts import read_parts
-from physid.plant.tree import mass_and_bias, workspace
+from physid.plant.tree import invert, mass_and_bias, workspace
 
 FRICTION_TENDON = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_TENDON)
 
@@ -35,7 +35,8 @@ def assemble(parts):  # type: ignore[no-untyped-def]  # noqa: C901 - three kinds
     # Where the mass turns, what stands for accelerations is forces: :class:`Network`.
     inverse = np.eye(nv)
     if not parts.tree_parents.size:
-        inverse[:] = np.linalg.inv(parts.mass)
+        # On the way of a fit a mass may be none: then nothing is finite, as where a run diverges.
+        invert(parts.mass.copy(), inverse)
     na, nu = 0, parts.limits.shape[0]
     for a in parts.actuators:
         na = max(na, int(a[11]) + 1)

@@ -6,7 +6,7 @@ from scipy.signal import lfilter
 from scipy.stats import kstest, norm
 
 import physid
-from physid.criticism.evidence import LARGEST, combined, t_value
+from physid.criticism.evidence import LARGEST, better_by, combined, t_value
 
 INSTANTS, CHANNELS = 3000, 2
 
@@ -86,3 +86,15 @@ def test_a_memory_that_explains_a_large_residual_is_no_chance(slider, make_run):
     best = found["candidates"][sites.index([("hysteresis", "rail")])]
     assert best["explained"] > 0.9
     assert best["p_value"] < 1e-50
+
+
+def test_predictions_that_are_better_by_chance_are_told_from_better_ones():
+    rng = np.random.default_rng(3)
+    t_values = []
+    for _ in range(300):
+        noise = lfilter([1.0], [1.0, -0.8], rng.standard_normal((2, 600)), axis=1)
+        before, after = (x.reshape(4, 150, 1) for x in noise)
+        t_values.append(better_by([before], [after]))
+    assert np.mean(np.array(t_values) > 1.645) < 0.09
+    assert better_by([before + 3.0], [after]) > 5.0
+    assert better_by([after], [before + 3.0]) < -5.0

@@ -6,8 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physid.criticism import evidence, merit, pairs, search
+from physid.criticism import diagnosis, evidence, merit, pairs, search
 from physid.criticism import refit as refitting
+from physid.criticism.base import Split
 from physid.criticism.grounds import Group
 from physid.criticism.refit import (
     Start,
@@ -22,7 +23,7 @@ from physid.criticism.refit import (
 from physid.effects.catalogue import CATALOGUE
 from physid.errors import DivergedError
 from physid.identification.problem import residuals_of
-from physid.identification.screening import scales_of, screen
+from physid.identification.screening import scales_of, screen, shortlist
 from physid.identification.staged import vanished
 from physid.identification.study import Options, prepare
 from physid.plant.effect import Placed
@@ -296,7 +297,9 @@ def test_what_remembers_leads_only_if_it_does_over_the_longest_stretches(monkeyp
     over_all = {id(mode): -90.0, id(friction): -50.0, id(drag): -60.0}
     longest = {id(mode): -20.0, id(friction): -30.0, id(drag): -10.0}
     monkeypatch.setattr(
-        merit, "score", lambda b, f, hs: (longest if len(hs) == 1 else over_all)[id(f)]
+        merit,
+        "scores",
+        lambda b, fits, hs: [(longest if len(hs) == 1 else over_all)[id(f)] for f in fits],
     )
     base = SimpleNamespace(fits={"short": None, "long": None, "block": None})
     assert merit.ordered(base, [friction, mode, drag]) == [friction, mode, drag]
@@ -434,7 +437,7 @@ def test_an_effect_of_a_pair_is_exchanged_for_what_did_as_well_alone(rubbing, mo
         tried.append((already[0].effect.name, starts[0].placed.effect.name))
 
     monkeypatch.setattr(pairs, "refit", spied)
-    monkeypatch.setattr(pairs, "score", lambda base, fit, horizons: -100.0)
+    monkeypatch.setattr(pairs, "scores", lambda base, fits, horizons: [-100.0] * len(fits))
     assert pairs.exchanged(rubbing.base, pair, singles, rubbing.scales) == []
     assert ("coulomb_friction", "switched_damping") in tried
     assert ("quadratic_drag", "switched_damping") in tried
@@ -467,3 +470,60 @@ def test_a_mass_or_a_spring_that_is_all_but_gone_is_no_start():
     assert not vanished(problem, np.array([0.3, 2.0, 0.0]))
     assert vanished(problem, np.array([0.2, 2.0, 2.0]))
     assert vanished(problem, np.array([2.0, 1e-6, 2.0]))
+
+
+@pytest.mark.parametrize("pieces", [2, 4])
+def test_every_piece_of_a_record_is_split_between_choosing_and_judging(pieces):
+    split = Split(pieces)
+    both = sorted([*split.choosing(1200), *split.judging(1200)])
+    assert [stop for _, stop in both[:-1]] == [start for start, _ in both[1:]]
+    assert (both[0][0], both[-1][1]) == (0, 1200)
+    assert sum(stop - start for start, stop in split.judging(1200)) == 400
+
+
+def test_what_shows_in_data_kept_for_judging_alone_is_never_passed_over(rubbing):
+    base = rubbing.base
+    judging = diagnosis._judging(rubbing.study, base)
+    assert diagnosis._tells_more(judging)  # Coulomb friction is missing
+    silent = {"long": SimpleNamespace(ground=SimpleNamespace(**vars_of(1.0)))}
+    assert not diagnosis._tells_more(silent)
+    assert diagnosis._left_at_best({"short": silent["long"], **silent}) == [1.0]
+
+
+def vars_of(mean):
+    """A ground that leaves so many times the noise."""
+    problem = SimpleNamespace(measurements=lambda: 100)
+    return {"estimate": SimpleNamespace(squares=100.0 * mean), "problem": problem}
+
+
+def test_candidates_that_leave_the_same_score_the_same_whatever_the_colour_of_it(rubbing):
+    base = rubbing.base
+    found = with_block(base, refitted(rubbing))
+    smooth = {}
+    for horizon, estimate in found.fits.items():
+        rows = [np.sort(r, axis=1) for r in estimate.residuals]  # the same squares, of one colour
+        smooth[horizon] = replace(estimate, residuals=rows)
+    other = replace(found, fits=smooth)
+    one, two = merit.scores(base, [found, other], ("short", "long"))
+    assert one == pytest.approx(two)
+    assert merit.spread_of_states(base, found, other) == 0.0
+
+
+def test_a_rival_that_stopped_elsewhere_catches_up(rubbing):
+    base, best = rubbing.base, refitted(rubbing)
+    stuck = best.fits["short"]
+    stuck = replace(stuck, residuals=[3.0 * r for r in stuck.residuals], chi2=9.0 * stuck.chi2)
+    behind = replace(best, fits={**best.fits, "short": stuck})
+    assert search._rivals(behind, best)
+    found = search._caught_up(base, behind, best)
+    assert found.fits["short"].chi2 == pytest.approx(best.fits["short"].chi2, rel=0.01)
+    assert found.fits["long"] is best.fits["long"]
+
+
+def test_effects_that_gain_the_same_count_as_one():
+    def scored(name, gain):
+        return SimpleNamespace(effect=SimpleNamespace(name=name), place=HINGE, gain=gain)
+
+    found = [scored("a", 9.0), scored("b", 8.9999), scored("c", 5.0), scored("a", 4.0)]
+    assert [name for name, _ in shortlist(found, 1)] == ["a", "b"]
+    assert [name for name, _ in shortlist(found, 2)] == ["a", "b", "c"]

@@ -283,3 +283,14 @@ def test_every_number_of_periods_that_shows_is_come_to(travel):
             tried = [best, *periods(cogging.closer(trial, scales, level))]
             best = min(tried, key=lambda n: abs(n - wanted))
         assert abs(best - wanted) <= wanted // 300
+
+
+def test_stribeck_friction_starts_beyond_coulomb_friction_in_all_its_shapes():
+    inner = Placed(effect_named("coulomb_friction"), Place("joint", "hinge"), {"force": 0.3})
+    outer = effect_named("stribeck_friction")
+    found = outer.beyond([inner], SCALES)
+    assert len(found) == len(outer.speeds)
+    assert all(outer.plausible(values, SCALES) for values in found)
+    assert all(values["force"] == 0.3 for values in found)
+    load = Placed(effect_named("constant_load"), inner.place, {"force": 0.1})
+    assert not outer.beyond([load], SCALES)

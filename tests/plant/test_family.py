@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from physid.effects.catalogue import CATALOGUE, add_effects
-from physid.plant.assembly import network_of
+from physid.plant.assembly import assemble, network_of
 from physid.plant.family import family_of
 
 from .rigs import PENDULUM, load_text
@@ -66,3 +66,13 @@ def test_what_is_not_affine_is_no_family():
     parameters, at = parameters_of(model, names)
     assert len(names) == 2  # their product is the pendulum's weight
     assert family_of(model, parameters, at, 1e-3) is None
+
+
+def test_a_mass_that_is_none_leaves_nothing_finite():
+    """A fit may step there: its run is given up like one that diverges, and no study ends in an error."""
+    model = load_text(PENDULUM)
+    parameters, at = parameters_of(model, ["pivot.damping"])
+    parts, _ = family_of(model, parameters, at, 1e-3).parts_at(at)
+    assert np.isfinite(assemble(parts).linear).all()
+    parts.mass[:] = 0.0
+    assert not np.isfinite(assemble(parts).linear).any()

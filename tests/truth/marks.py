@@ -81,7 +81,7 @@ def mark(trial: Trial, refinement: Json, floor: Mapping[str, float]) -> Line:
         right, first = is_first(refinement, truth[0])
         three = first or among_first(refinement, truth[0])
     line |= {"strict": right, "first": first, "three": three}
-    line["false"] = _false(refinement, added, truth, first)
+    line["false"] = _false(refinement, added, truth if trial.kind in ("one", "two") else [], first)
     line["covered"] = _covered(trial, refinement) if right and truth else {}
     line["reason"] = "" if first else _reason(trial, line)
     return line

@@ -22,9 +22,13 @@ PUSH, HOLD = 0.3, 0.2  # of a controller on position and on speed, relative to t
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
-    """A record without noise: states (N, 2 n), inputs (N, nu), and every reading by its sensor (N,)."""
+    """A record without noise: states (N, 2 n), inputs (N, nu), and every reading by its sensor (N,).
+
+    ``driven`` (lead + N, nu) are the inputs with those before the record.
+    """
 
     states: Array
+    driven: Array
     inputs: Array
     readings: Mapping[str, Array]
 
@@ -64,16 +68,26 @@ class Setup:
         return np.column_stack(columns)
 
     def run(
-        self, which: str, hidden: Sequence[Hidden], *, quiet: bool = False, substeps: int = 16
+        self,
+        which: str,
+        hidden: Sequence[Hidden],
+        *,
+        quiet: bool = False,
+        substeps: int = 16,
+        along: Run | None = None,
     ) -> Run:
-        """Simulate a record with effects; ``quiet`` is a controller whose sensors have no noise."""
+        """Simulate a record with effects; ``quiet`` is a controller whose sensors have no noise.
+
+        With ``along``, without a controller: the inputs are those of another run.
+        """
         machine = self.machine
         reference, lead = self.reference(which), sizes(machine)[1]
+        reference = reference if along is None else along.driven
         plant = with_hidden(plant_of(machine, self.values), machine, hidden)
         plant = plant._replace(change=plant.change + np.array([0.0, lead * machine.period]))
         n = plant.inertia.size
         rest = np.zeros(n)
-        loop = self._loop(which, n, len(reference), quiet)
+        loop = self._loop(which, n, len(reference), quiet) if along is None else None
         q, v, u = simulate_loop(
             plant, reference, machine.period, rest, rest, loop, substeps=substeps
         )
@@ -86,6 +100,7 @@ class Setup:
             readings[h.location] = read(readings[h.location], machine.period, h.parameters)
         return Run(
             states=states[lead:],
+            driven=u,
             inputs=u[lead:],
             readings={name: y[lead:] for name, y in readings.items()},
         )

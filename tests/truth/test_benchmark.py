@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,9 +13,19 @@ from typer.testing import CliRunner
 from tests.truth import collecting, marks
 from tests.truth.catalogue import EFFECTS, Hidden, places, slot, with_hidden
 from tests.truth.chains import chain
-from tests.truth.machines import RIGS, plant_of, two_wheel_robot
+from tests.truth.machines import RIGS, building, plant_of, two_wheel_robot
 from tests.truth.running import Setup, stabilising
-from tests.truth.trials import KINDS, Trial, _held, draw, make, setup_of
+from tests.truth.trials import (
+    KINDS,
+    Trial,
+    _each_stands_out,
+    _fit,
+    _ground,
+    _held,
+    draw,
+    make,
+    setup_of,
+)
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "hidden_effects.py"
 QUICK = ("oscillator",)
@@ -90,11 +101,41 @@ def test_a_robot_that_fell_over_is_no_case():
         assert _held(setup, ground, run) is held
 
 
+def test_nothing_is_hidden_where_the_model_has_the_same():
+    """A damper between ground and floor is the storey's, and the model's own is free to grow."""
+    for effect in ("viscous_damping", "linear_stiffness"):
+        assert places(building(), effect) == ["floor2", "floor3", "floor4"]
+    located = [("viscous_damping", "axis1"), ("added_inertia", "axis2")]
+    assert "axis1.damping" not in _fit(chain(123), located)
+    assert "axis1.stiffness" in _fit(chain(123), located)
+
+
+def test_a_second_effect_that_the_first_imitates_is_no_case():
+    """An offset of an angle is the phase of a gravity imbalance."""
+    imbalance = hidden_at("gravity_imbalance@drive", amplitude=0.48, phase=4.07)
+    offset = hidden_at("sensor_offset@drive_angle", offset=-0.012)
+    drag = hidden_at("quadratic_drag@load", drag=0.05)
+    for other, shown in ((offset, False), (drag, True)):
+        case = replace(
+            trial("two", noise=0.001),
+            rig="two_inertia",
+            hidden=(imbalance, other),
+            missing="load_angle",
+        )
+        setup = setup_of(case)
+        assert _each_stands_out(case, setup, _ground(case, setup)) is shown
+
+
 def test_chains_have_one_to_five_joints():
     drawn = [chain(seed) for seed in range(40)]
     assert {len(m.joints) for m in drawn} == {1, 2, 3, 4, 5}
     assert any(m.weight is not None for m in drawn)
     assert all(m.seconds > 20.0 / m.mode or m.seconds >= 7900 * m.period for m in drawn)
+
+
+def hidden_at(site, **parameters):
+    name, location = site.split("@")
+    return Hidden(effect=name, location=location, parameters=parameters)
 
 
 def trial(kind="one", *sites, noise=0.003):
@@ -188,6 +229,14 @@ def test_marks(case, found, first, strict, reason):
     assert (line["first"], line["strict"], line["reason"]) == (first, strict, reason)
     assert line["over_floor"] == pytest.approx(0.0031 / 0.003)
     json.dumps(line, allow_nan=False)
+
+
+def test_what_was_said_to_be_the_same_as_the_truth_is_no_false_discovery():
+    same = refinement(OTHER, alike=[[TRUTH]], added=[OTHER])
+    assert marks.mark(trial("one", TRUTH), same, {"position": 0.003})["false"] == []
+    wrong = refinement(OTHER, added=[OTHER])
+    assert marks.mark(trial("one", TRUTH), wrong, {"position": 0.003})["false"] == [OTHER]
+    assert marks.mark(trial("nothing"), wrong, {"position": 0.003})["false"] == [OTHER]
 
 
 def test_figures_count_what_the_issue_asks():

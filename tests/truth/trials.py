@@ -120,7 +120,7 @@ def draw(seed: int, number: int, rigs: Sequence[str] = ()) -> Trial:
             signal=signal,
             feedback=machine.unstable or (machine.loops and bool(rng.random() < FED_BACK)),
             missing=str(rng.choice(sensors)) if lacks else "",
-            fit=_fit(machine, wanted),
+            fit=_fit(machine, located),
         )
         found = _with_strengths(trial, machine, rng)
         if found is not None:
@@ -139,11 +139,14 @@ def _wanted(kind: str, ones: int, rng: np.random.Generator) -> list[str]:
     return [one, str(rng.choice([e for e in EFFECTS if slot(e) != slot(one)]))]
 
 
-def _fit(machine: Machine, wanted: Sequence[str]) -> tuple[str, ...]:
+def _fit(machine: Machine, located: Sequence[tuple[str, str]]) -> tuple[str, ...]:
     """Names to fit where "auto" would free a parameter that contains an effect; none for "auto"."""
-    if machine.named or "added_inertia" in wanted:
-        return machine.named or tuple(machine.values)
-    return ()
+    if machine.named:
+        return machine.named
+    blanks = [Hidden(effect=e, location=p, parameters={}) for e, p in located]
+    free = contained(machine, machine.values, blanks)
+    inertia = "added_inertia" in [h.effect for h in blanks]
+    return tuple(name for name, value in free.items() if value > 0.0) if inertia else ()
 
 
 def setup_of(trial: Trial) -> Setup:
@@ -208,7 +211,7 @@ def _with_strengths(trial: Trial, machine: Machine, rng: np.random.Generator) ->
     whole = replace(trial, hidden=tuple(found))
     run = setup.run("train", whole.hidden, quiet=True, substeps=4)
     held = _held(setup, ground, run) and _followed(setup, whole.hidden)
-    return whole if held else None
+    return whole if held and _each_stands_out(whole, setup, ground) else None
 
 
 def _strength(
@@ -248,6 +251,58 @@ def _shown(trial: Trial, ground: _Ground, run: Run) -> float:
     left = (flat - ground.basis @ (ground.basis.T @ flat)).reshape(-1, len(names))
     kept = [k for k, name in enumerate(names) if name != trial.missing]
     return float(np.sqrt(np.mean(left[:, kept] ** 2, axis=0)).max())
+
+
+def _each_stands_out(trial: Trial, setup: Setup, ground: _Ground) -> bool:
+    """Say whether the record shows each effect, whatever the sizes of the others, along the inputs in it.
+
+    A controller answers to what a sensor may not show; two effects may be one of them with another size.
+    """
+    if setup.machine.unstable or not (trial.feedback or len(trial.hidden) > 1):
+        return True
+    names = list(ground.bare.readings)
+    kept = [k for k, name in enumerate(names) if name != trial.missing]
+    whole = setup.run("train", trial.hidden, quiet=True, substeps=4)
+
+    def seen(values: Mapping[str, float], hidden: Sequence[Hidden]) -> Array:
+        run = replace(setup, values=values).run(
+            "train", hidden, quiet=True, substeps=4, along=whole
+        )
+        readings = np.column_stack([run.readings[s] for s in names])
+        return np.asarray((readings / ground.spread)[:, kept].ravel())
+
+    free = replace(setup, gain=None)
+    first, sizes_of = ground.bare.states[0], np.maximum(ground.bare.states.std(axis=0), 1e-12)
+    still = free.again("train", ground.bare, first, setup.values)
+    states = [
+        ((free.again("train", ground.bare, x, setup.values) - still) / ground.spread)[:, kept]
+        for x in first + 1e-3 * np.diag(sizes_of)
+    ]
+    target = seen(setup.values, trial.hidden)
+    for own in trial.hidden:
+        others = [h for h in trial.hidden if h is not own]
+        base = seen(setup.values, others)
+        columns = [column.ravel() for column in states]
+        for name in trial.fit or tuple(setup.values):
+            moved = {**setup.values, name: 1.001 * setup.values[name]}
+            columns.append(seen(moved, others) - base)
+        for k, other in enumerate(others):
+            for name, value in other.parameters.items():
+                changed = replace(other, parameters={**other.parameters, name: 1.001 * value})
+                columns.append(seen(setup.values, [*others[:k], changed, *others[k + 1 :]]) - base)
+        if _left_beside(columns, target - base, len(kept)) < SHOWN:
+            return False
+    return True
+
+
+def _left_beside(columns: Sequence[Array], change: Array, channels: int) -> float:
+    """Return the rms, at the channel where it is largest, of what columns leave of a change."""
+    flat = np.column_stack(columns)
+    flat = flat / np.maximum(np.linalg.norm(flat, axis=0), 1e-300)
+    u, s, _ = np.linalg.svd(flat, full_matrices=False)
+    basis = u[:, s > 1e-8 * s[0]]
+    left = (change - basis @ (basis.T @ change)).reshape(-1, channels)
+    return float(np.sqrt(np.mean(left**2, axis=0)).max())
 
 
 def _followed(setup: Setup, hidden: Sequence[Hidden], nudge: float = 1e-6) -> bool:
