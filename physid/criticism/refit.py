@@ -18,7 +18,7 @@ from physid.identification.problem import Problem
 from physid.identification.screening import screen
 from physid.identification.staged import compiled, fit_apart, followed, states_only
 from physid.identification.windows import Windows
-from physid.plant.effect import Placed, Scales
+from physid.plant.effect import Effect, Placed, Scales
 from physid.plant.model import Model
 from physid.plant.parameter import Parameter
 from physid.plant.structure import Place
@@ -307,17 +307,22 @@ def _seen_from(base: Base, inner: Problem, best: Refit, known: Sequence[Start]) 
     candidate's parameters they are seen more clearly, unless the model diverges there without it.
     """
     own = best.added[-1]
-    problem = inner.on(base.problems["long"].windows)
-    theta = start_of(best.problem, best.fits["long"].theta, inner)
+    seen = seen_from(inner.on(base.problems["long"].windows), best, (own.effect, own.place))
+    tried = [*(s.placed for s in known), best.fitted[-1]]
+    return [s for s in seen if not any(alike(s.placed, placed) for placed in tried)]
+
+
+def seen_from(problem: Problem, best: Refit, site: tuple[Effect, Place]) -> list[Start]:
+    """Return starts of an effect, screened on long windows at the best candidate's other parameters.
+
+    Empty where nothing can be simulated there without the candidate.
+    """
+    theta = start_of(best.problem, best.fits["long"].theta, problem)
     try:
         ground = replace(states_only(replace(problem, model=problem.at(theta))), theta=theta)
-        seen = screen(problem, ground, [(own.effect, own.place)])
+        return [Start(s.start, s.theta) for s in screen(problem, ground, [site])]
     except NumericsError:
         return []
-    tried = [*(s.placed for s in known), best.fitted[-1]]
-    return [
-        Start(s.start, s.theta) for s in seen if not any(alike(s.start, placed) for placed in tried)
-    ]
 
 
 def alike(one: Placed, other: Placed) -> bool:

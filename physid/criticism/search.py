@@ -27,6 +27,7 @@ from physid.criticism.refit import (
     in_other_kinds,
     in_other_shapes,
     refit,
+    seen_from,
     start_of,
     with_block,
     without_partner,
@@ -167,6 +168,7 @@ def _searched(
         near = limit if explaining and not followed_all else np.inf
         goal = min(limit if explaining else np.inf, _goal(base, fits))
         fits += _refitted(base, long, kept, group, k, near, goal)
+    fits = _with_simpler(base, fits, scales, candidates)
     on_windows = _best_on_windows(base, fits)
     fits = _best_with_blocks(base, _with_siblings(base, fits, scales, on_windows), scales)
     if fits and fits[0].sites() != (on_windows or fits[0]).sites():
@@ -521,6 +523,33 @@ def _with_siblings(
             out = [f for f in out if f is not best]
         out.append(found)
     return _better_of(out, base)
+
+
+def _with_simpler(
+    base: Base,
+    fits: list[Refit],
+    scales: Mapping[Place, Scales],
+    candidates: Sequence[tuple[Effect, Place]],
+) -> list[Refit]:
+    """Fit laws that the best one on long windows contains from where it ended, if they were not fitted.
+
+    Where a model is far off, a wider law may be all that screening sees of the one it contains.
+    """
+    if not fits:
+        return fits
+    best = min(fits, key=lambda f: f.fits["long"].squares)
+    known = [(f.added[0].effect, f.added[0].place) for f in fits]
+    own = best.added[0]
+    out = list(fits)
+    for effect, place in candidates:
+        simpler = place == own.place and effect.name in own.effect.supersedes
+        if not simpler or (effect, place) in known or place not in scales:
+            continue
+        long = base.problems["long"].with_windows(best.on(base.problems["long"].windows).windows)
+        starts = seen_from(long, best, (effect, place))
+        found = refit(base, long, starts, scales[place], rank=best.rank) if starts else None
+        out += [] if found is None else [found]
+    return out
 
 
 def _better_of(fits: Sequence[Refit], base: Base) -> list[Refit]:

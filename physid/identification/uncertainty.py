@@ -2,7 +2,10 @@
 
 The covariance is the sandwich H^-1 S H^-1 with S the long-run covariance of the scores J'r, by the
 Bartlett kernel (Newey, West, Econometrica 55, 1987), its width taken from the residual's correlation
-time.  Limits: the model must fit; a missing effect makes every interval wrong (see the verdict).
+time.  No variance is below that of white residuals: where a parameter shows in few samples, as an instant
+does, their scores alone tell too little of it, and mostly too small a one (MacKinnon, White, J.
+Econometrics 29, 1985).  Differences are central where a coefficient bends a law: a one-sided one is that of a
+parameter some way off.  Limits: the model must fit; a missing effect makes every interval wrong (see the verdict).
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ import numpy as np
 from physid.errors import DivergedError
 from physid.identification.columns import columns_of
 from physid.identification.estimate import Estimate
+from physid.identification.instants import spreads
 from physid.identification.linearisation import Reduced, normal_equations, reduced
 from physid.identification.noise import correlation_time
 from physid.identification.problem import MOST_AT_ONCE, Block, Problem
@@ -48,7 +52,8 @@ def uncertainty_of(problem: Problem, estimate: Estimate) -> Uncertainty:
 
 
 def _uncertainty_of(problem: Problem, estimate: Estimate) -> Uncertainty:
-    for central in (False, True):
+    bends = any(c.shape for e in problem.model.effects for c in e.effect.coefficients)
+    for central in (True,) if bends else (False, True):
         blocks = _columns(problem, estimate, central=central)
         point = reduced(problem, blocks(), estimate.residuals)
         hessian, _ = normal_equations(problem, point, estimate.theta)
@@ -61,7 +66,13 @@ def _uncertainty_of(problem: Problem, estimate: Estimate) -> Uncertainty:
     blind = np.abs(vectors[:, ~seen]).max(axis=1, initial=0.0) > 0.1
     blind |= np.diag(hessian) <= 1e-280
     covariance = inverse @ long_run_scores(problem, estimate, point, blocks()) @ inverse
-    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    coloured = np.maximum(np.diag(covariance), 0.0)
+    dof = max(1.0, problem.measurements() - len(estimate.theta) - _free_states(problem))
+    std = np.sqrt(np.maximum(coloured, np.diag(inverse) * estimate.squares / dof))
+    for k, spread in spreads(problem, estimate, point, estimate.squares / dof).items():
+        std[k] = max(std[k], spread)
+    wider = np.where(coloured > 0.0, std / np.sqrt(np.maximum(coloured, 1e-300)), 1.0)
+    covariance = covariance * np.outer(wider, wider)
     std[blind] = np.nan
     return Uncertainty(covariance, std)
 

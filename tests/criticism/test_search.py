@@ -527,3 +527,18 @@ def test_effects_that_gain_the_same_count_as_one():
     found = [scored("a", 9.0), scored("b", 8.9999), scored("c", 5.0), scored("a", 4.0)]
     assert [name for name, _ in shortlist(found, 1)] == ["a", "b"]
     assert [name for name, _ in shortlist(found, 2)] == ["a", "b", "c"]
+
+
+def test_the_law_that_a_wider_one_contains_is_fitted_from_where_that_ended(rubbing):
+    base, place = rubbing.base, HINGE
+    scales = {place: rubbing.scales[place]}
+    stribeck, coulomb = EFFECTS["stribeck_friction"], EFFECTS["coulomb_friction"]
+    long = base.problems["long"]
+    starts = starts_of(screen(long, base.fits["long"], [(stribeck, place)]))
+    found = refitted(rubbing)
+    wider = replace(found, added=(Placed(stribeck, place, starts[0].placed.values),))
+    out = search._with_simpler(base, [wider], scales, [(coulomb, place), (stribeck, place)])
+    assert [f.sites()[0][0] for f in out[1:]] == ["coulomb_friction"]
+    assert merit.noise_like(base, out[1])
+    assert search._with_simpler(base, [found], scales, [(coulomb, place)]) == [found]
+    assert search._with_simpler(base, [], scales, [(coulomb, place)]) == []

@@ -11,12 +11,13 @@ from physid.errors import DivergedError
 from physid.identification import fitting, output_error
 from physid.identification.accuracy import refine_steps
 from physid.identification.columns import columns_of
-from physid.identification.instants import in_the_best_valley
+from physid.identification.instants import in_the_best_valley, spreads
 from physid.identification.linearisation import linearise, reduce
 from physid.identification.output_error import minimise
 from physid.identification.problem import residuals_of, with_activations
 from physid.identification.staged import thinned, windowed
 from physid.identification.study import Options, Study
+from physid.identification.uncertainty import uncertainty_of
 from physid.identification.windows import cut, initial_states, whole
 from physid.plant.effect import Placed
 from physid.plant.structure import Place
@@ -420,6 +421,15 @@ def test_an_instant_is_looked_for_in_the_neighbouring_valleys():
     found = in_the_best_valley(problem, astray, 1e-6)
     assert found.theta[3] == pytest.approx(2.5, abs=0.01)
     assert found.squares == pytest.approx(500, rel=0.2)
+    # Curvature tells of one valley; the interval tells of all that the data leave open.
+    told = uncertainty_of(problem, found)
+    assert abs(found.theta[3] - 2.5) < 3.0 * told.std_error[3]
+    shallow = replace(problem, sigma=20.0 * problem.sigma)
+    fits = [replace(found, residuals=[r / 20.0 for r in found.residuals])]
+    point = reduce(shallow, found.theta, found.states, fits[0].residuals)
+    narrow, wide = (spreads(shallow, fits[0], point, mean)[3] for mean in (0.0025, 1.0))
+    assert 0.0 <= narrow < 0.2 * wide
+    assert spreads(shallow, fits[0], replace(point, rows=[]), 1.0) == {}
     plain_fit = minimise(spring_problem())
     assert in_the_best_valley(spring_problem(), plain_fit, 1e-6) is plain_fit
 

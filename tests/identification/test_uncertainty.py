@@ -146,3 +146,18 @@ def test_next_to_a_divergence_nothing_is_known(monkeypatch):
     found = uncertainty_of(problem, estimate)
     assert found.covariance.shape == (3, 3)
     assert np.isnan(found.std_error).all()
+
+
+def test_a_parameter_that_shows_in_few_samples_is_no_better_known_than_under_white_noise(
+    monkeypatch,
+):
+    """The scores of few samples say too little of their own spread, and mostly too small a one."""
+    problem = spring_problem(sigma=1e-3, noise=np.random.default_rng(4).standard_normal((500, 1)))
+    estimate = minimise(problem, tolerance=1e-7)
+    told = uncertainty_of(problem, estimate)
+    monkeypatch.setattr(
+        uncertainty, "long_run_scores", lambda *args: np.zeros((len(estimate.theta),) * 2)
+    )
+    floor = uncertainty_of(problem, estimate)
+    assert np.all(floor.std_error > 0.0)
+    assert np.all(told.std_error >= floor.std_error * (1.0 - 1e-12))
