@@ -86,16 +86,17 @@ def ordered(base: Base, fits: Iterable[Refit]) -> list[Refit]:
     """
     found = sorted_by_score(base, list(fits), tuple(base.fits))
     longest = ("block",) if "block" in base.fits else ("long",)
-    if not found or not _remembers(found[0]):
+    if not found or not remembers(found[0]):
         return found
     over_long = scores(base, found, longest)
     for k, fit in enumerate(found):
-        if not _remembers(fit) and over_long[k] < over_long[0]:
+        if not remembers(fit) and over_long[k] < over_long[0]:
             return [fit, *found[:k], *found[k + 1 :]]
     return found
 
 
-def _remembers(fit: Refit) -> bool:
+def remembers(fit: Refit) -> bool:
+    """Say whether an effect of a candidate has a state of its own."""
     return any(p.effect.memory for p in fit.added)
 
 

@@ -17,6 +17,7 @@ from physid.criticism.merit import (
     noise_like,
     ordered,
     quiet_base,
+    remembers,
     scores,
     sorted_by_score,
 )
@@ -214,8 +215,11 @@ def _at_their_minimum(study: Study, base: Base, fits: list[Refit]) -> list[Refit
 def _rivals(fit: Refit, best: Refit) -> bool:
     """Say whether a candidate leaves about as little as the best on some long horizon, or is the same effect elsewhere.
 
-    On the other horizons it may be on its way.
+    On the other horizons it may be on its way.  What remembers, beside what does not, must rival it on all: over
+    windows it imitates what it does not do over long stretches.
     """
+    if remembers(fit) and not remembers(best):
+        return _within(RIVALLING, fit, best)
     return _is_elsewhere(fit, best) or any(
         fit.fits[h].squares < RIVALLING * best.fits[h].squares
         for h in fit.fits
