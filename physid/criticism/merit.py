@@ -84,13 +84,33 @@ def ordered(base: Base, fits: Iterable[Refit]) -> list[Refit]:
     What remembers starts every window as it likes, and may imitate there what it does not do over long
     stretches: it comes first only if it does over the longest as well, where its initial states tell least.
     """
-    found = sorted_by_score(base, list(fits), tuple(base.fits))
+    found = _parts_first(base, sorted_by_score(base, list(fits), tuple(base.fits)))
     longest = ("block",) if "block" in base.fits else ("long",)
     if not found or not remembers(found[0]):
         return found
     over_long = scores(base, found, longest)
     for k, fit in enumerate(found):
         if not remembers(fit) and over_long[k] < over_long[0]:
+            return [fit, *found[:k], *found[k + 1 :]]
+    return found
+
+
+def _parts_first(base: Base, found: list[Refit]) -> list[Refit]:
+    """Put the parts of a law before it where they do the same and leave more than noise: each shows its own size.
+
+    What is left may be more than what is named, and be imitated by one of the parts alone.
+    """
+    if len(found) < 2 or len(found[0].added) > 1:
+        return found
+    own = found[0].added[0]
+    if not own.effect.supersedes or noise_like(base, found[0]):
+        return found
+    values = scores(base, found, tuple(base.fits))
+    for k, fit in enumerate(found):
+        parts = all(
+            p.place == own.place and p.effect.name in own.effect.supersedes for p in fit.added
+        )
+        if len(fit.added) > 1 and parts and values[k] < values[0] + LEAST_GAIN:
             return [fit, *found[:k], *found[k + 1 :]]
     return found
 

@@ -542,3 +542,19 @@ def test_the_law_that_a_wider_one_contains_is_fitted_from_where_that_ended(rubbi
     assert merit.noise_like(base, out[1])
     assert search._with_simpler(base, [found], scales, [(coulomb, place)]) == [found]
     assert search._with_simpler(base, [], scales, [(coulomb, place)]) == []
+
+
+def test_the_parts_of_a_law_come_before_it_where_more_than_noise_is_left(monkeypatch):
+    law, parts = refit_of("asymmetric_friction"), refit_of("coulomb_friction")
+    load = refit_of("constant_load")
+    parts = SimpleNamespace(added=(*parts.added, *load.added))
+    values = {id(law): -90.0, id(parts): -89.0, id(load): -50.0}
+    monkeypatch.setattr(merit, "scores", lambda b, fits, hs: [values[id(f)] for f in fits])
+    monkeypatch.setattr(merit, "noise_like", lambda b, f: False)
+    base = SimpleNamespace(fits={"long": None})
+    assert merit._parts_first(base, [law, load, parts]) == [parts, law, load]
+    values[id(parts)] = -70.0
+    assert merit._parts_first(base, [law, parts, load]) == [law, parts, load]
+    values[id(parts)] = -89.0
+    monkeypatch.setattr(merit, "noise_like", lambda b, f: True)
+    assert merit._parts_first(base, [law, parts, load]) == [law, parts, load]
