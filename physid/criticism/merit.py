@@ -84,7 +84,12 @@ def ordered(base: Base, fits: Iterable[Refit]) -> list[Refit]:
     What remembers starts every window as it likes, and may imitate there what it does not do over long
     stretches: it comes first only if it does over the longest as well, where its initial states tell least.
     """
-    found = _parts_first(base, sorted_by_score(base, list(fits), tuple(base.fits)))
+    found = sorted_by_score(base, list(fits), tuple(base.fits))
+    return _parts_first(base, _remembering_last(base, found))
+
+
+def _remembering_last(base: Base, found: list[Refit]) -> list[Refit]:
+    """Put the best that does not remember before what remembers, if it does more over the longest stretches."""
     longest = ("block",) if "block" in base.fits else ("long",)
     if not found or not remembers(found[0]):
         return found
