@@ -190,10 +190,15 @@ def _ground(trial: Trial, setup: Setup) -> _Ground:
         if values[name] > 0.0:
             moved = values | {name: 1.001 * values[name]}
             columns.append(setup.again("train", bare, first, moved) - base)
-    flat = np.column_stack([(c / spread).ravel() for c in columns])
+    return _Ground(bare, spread, _basis_of([(c / spread).ravel() for c in columns]))
+
+
+def _basis_of(columns: Sequence[Array]) -> Array:
+    """Return an orthonormal basis of columns (m,), (m, k)."""
+    flat = np.column_stack(columns)
     flat = flat / np.maximum(np.linalg.norm(flat, axis=0), 1e-300)
     u, s, _ = np.linalg.svd(flat, full_matrices=False)
-    return _Ground(bare, spread, u[:, s > 1e-8 * s[0]])
+    return np.asarray(u[:, s > 1e-8 * s[0]])
 
 
 def _with_strengths(trial: Trial, machine: Machine, rng: np.random.Generator) -> Trial | None:
@@ -297,10 +302,7 @@ def _each_stands_out(trial: Trial, setup: Setup, ground: _Ground) -> bool:
 
 def _left_beside(columns: Sequence[Array], change: Array, channels: int) -> float:
     """Return the rms, at the channel where it is largest, of what columns leave of a change."""
-    flat = np.column_stack(columns)
-    flat = flat / np.maximum(np.linalg.norm(flat, axis=0), 1e-300)
-    u, s, _ = np.linalg.svd(flat, full_matrices=False)
-    basis = u[:, s > 1e-8 * s[0]]
+    basis = _basis_of(columns)
     left = (change - basis @ (basis.T @ change)).reshape(-1, channels)
     return float(np.sqrt(np.mean(left**2, axis=0)).max())
 
