@@ -15,14 +15,15 @@ Source of the element formulas: MuJoCo documentation, chapters Modeling and Comp
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from physid.plant.compiling import kept
-from physid.plant.law import call_law, call_memory_law, pointer_at
+from physid.plant.elements import element_forces, kept_beyond, readings_and_pulls
+from physid.plant.law import call_law, pointer_at
 from physid.plant.planar import planar_mass_and_bias
+from physid.plant.strides import carry, known_size, several_strides, stride_map
 from physid.plant.tree import invert, mass_and_bias, workspace
 
 
@@ -87,43 +88,6 @@ class Network(NamedTuple):
 
 
 @kept(nogil=True, error_model="numpy")
-def _one_step_map(linear, nv, n, h):  # type: ignore[no-untyped-def]
-    """Return P (n, n), Q (n, nv + na): the Runge-Kutta step x+ = P x + Q b of x' = A x + (0, b).
-
-    P = I + hA S, Q = h S, S = I + hA/2 (I + hA/3 (I + hA/4)): the classical method, term for term.
-    """
-    scaled = np.zeros((n, n))
-    for i in range(nv):
-        scaled[i, nv + i] = h
-    for r in range(n - nv):
-        for j in range(n):
-            scaled[nv + r, j] = h * linear[r, 1 + j]
-    total = np.eye(n)
-    for order in (4.0, 3.0, 2.0, 1.0):
-        product = np.zeros((n, n))
-        for i in range(n):
-            for k in range(n):
-                factor = scaled[i, k] / order
-                if factor != 0.0:
-                    for j in range(n):
-                        product[i, j] += factor * total[k, j]
-        if order == 1.0:
-            drive = h * total
-        total = np.eye(n) + product
-    return total, np.ascontiguousarray(drive[:, nv:])
-
-
-@kept(nogil=True, error_model="numpy")
-def _several_steps(onward, drive, steps):  # type: ignore[no-untyped-def]
-    """Return the map of so many steps with the same input: P^s, (1 + P + ... + P^(s-1)) Q."""
-    far, pushed = np.eye(onward.shape[0]), np.zeros_like(drive)
-    for _ in range(steps):
-        pushed = onward @ pushed + drive
-        far = onward @ far
-    return far, pushed
-
-
-@kept(nogil=True, error_model="numpy")
 def _is_held(controls, first, count):  # type: ignore[no-untyped-def]
     """Say whether the inputs do not change over some steps."""
     for s in range(1, count):
@@ -134,38 +98,13 @@ def _is_held(controls, first, count):  # type: ignore[no-untyped-def]
 
 
 @kept(nogil=True, error_model="numpy")
-def _move(onward, steady, driven, limits, x, after, controls, row):  # type: ignore[no-untyped-def]
-    """Replace x by P x + b + B u, u within its limits."""
-    n = x.size
-    for i in range(n):
-        after[i] = steady[i]
-    for j in range(limits.shape[0]):
-        u = min(max(controls[row, j], limits[j, 0]), limits[j, 1])
-        for i in range(n):
-            after[i] += driven[i, j] * u
-    for i in range(n):
-        value = after[i]
-        for j in range(n):
-            value += onward[i, j] * x[j]
-        after[i] = value
-    x[:] = after
-
-
-@kept(nogil=True, error_model="numpy")
 def _integrate_linear(  # type: ignore[no-untyped-def]
-    linear, onward, drive, limits, initial, controls, starts, samples, substeps, states
+    onward, known, n, limits, initial, controls, starts, samples, substeps, states
 ):
-    """Integrate windows of a rig without elements: x+ = P x + Q (b + B u), nothing else."""
-    n = initial.shape[1]
-    offset, force = np.ascontiguousarray(linear[:, 0]), np.ascontiguousarray(linear[:, 1 + n :])
-    far, pushed = _several_steps(onward, drive, substeps)
-    steady, driven, far_steady, far_driven = (
-        drive @ offset,
-        drive @ force,
-        pushed @ offset,
-        pushed @ force,
-    )
-    x, after = np.zeros(n), np.zeros(n)
+    """Integrate windows of a rig without elements: every step is the same linear map."""
+    far = several_strides(onward, n, substeps)
+    after = np.zeros(n)
+    x, u = known[1 : 1 + n], known[1 + n : 1 + n + limits.shape[0]]
     last = controls.shape[0] - 1
     for w in range(initial.shape[0]):
         x[:] = initial[w]
@@ -178,62 +117,29 @@ def _integrate_linear(  # type: ignore[no-untyped-def]
                 states[w, k:] = np.nan
                 break
             first = min((starts[w] + k) * substeps, last)
-            if _is_held(controls, first, substeps):
-                _move(far, far_steady, far_driven, limits, x, after, controls, first)
-            else:
-                for s in range(substeps):
-                    row = min(first + s, last)
-                    _move(onward, steady, driven, limits, x, after, controls, row)
-
-
-EDGE = 1e-12
-"""How far from an edge a law is evaluated at least, as a share of the distance between its edges."""
-
-
-@kept(nogil=True, error_model="numpy")
-def _beyond_what(kind, row, rate, offset, x, t):  # type: ignore[no-untyped-def]
-    """Return the position, speed or time of which a law has edges."""
-    if kind == 2:
-        return t
-    nv = row.size
-    if kind == 1:
-        v = 0.0
-        for j in range(nv):
-            v += rate[j] * x[nv + j]
-        return v
-    z = -offset
-    for j in range(nv):
-        z += row[j] * x[j]
-    return z
-
-
-@kept(nogil=True, error_model="numpy")
-def _kept_beyond(value, side, low, high):  # type: ignore[no-untyped-def]
-    """Return a position, speed or time moved to the side of a law's edges on which the law is now."""
-    inset = EDGE * (high - low if low > -np.inf else 1.0 + abs(high))
-    if side > 0.0:
-        return max(value, high + inset)
-    if side < 0.0:
-        return min(value, low - inset)
-    if high < np.inf:
-        return min(max(value, low + inset), high - inset)
-    return value
+            held = _is_held(controls, first, substeps)
+            for s in range(1 if held else substeps):
+                row = min(first + s, last)
+                for j in range(u.size):
+                    u[j] = min(max(controls[row, j], limits[j, 0]), limits[j, 1])
+                carry(far if held else onward, known, 0, known.size, after)
+                for i in range(n):
+                    x[i] = after[i]
 
 
 @kept(nogil=True, error_model="numpy")
 def _lift(inverse, pulls, lifts):  # type: ignore[no-untyped-def]
-    """Write the accelerations M^-1 w' (e, nv) of forces w' (e, nv)."""
+    """Write the accelerations M^-1 w' (e, nv, and more that stays) of forces w' (e, nv)."""
+    nv = inverse.shape[0]
     for e in range(pulls.shape[0]):
-        for i in range(pulls.shape[1]):
+        for i in range(nv):
             lifts[e, i] = 0.0
-            for j in range(pulls.shape[1]):
+            for j in range(nv):
                 lifts[e, i] += inverse[i, j] * pulls[e, j]
 
 
 MOST_EVENTS = 24
 """Instants at which something comes to rest or to an edge, located within one step at most."""
-REST = 1e-9
-"""Speed [m/s or rad/s] at which the friction of an element at rest is read from its law."""
 
 
 @kept(nogil=True, error_model="numpy")
@@ -268,91 +174,73 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
     rates : (w, samples, nv + na) or (0, 0, 0)
         Accelerations and activations' rates at the samples, written if there is room.
     """
-    (
-        linear,
-        limits,
-        swings,
-        sines,
-        cosines,
-        spring_rows,
-        spring_pulls,
-        springs,
-        damper_rows,
-        damper_pulls,
-        dampers,
-        actuator_rows,
-        actuator_pulls,
-        actuators,
-        friction_rows,
-        friction_pulls,
-        friction,
-        diagonals,
-        law_rows,
-        law_rates,
-        law_pulls,
-        law_offsets,
-        law_addresses,
-        law_starts,
-        law_constants,
-        law_limits,
-        law_frictions,
-        law_edges,
-        law_edge_kinds,
-        law_memories,
-        tree_parents,
-        tree_dofs,
-        tree_bodies,
-        tree_joints,
-        tree_ancestors,
-        tree_mass,
-        tree_gravity,
-        planar_joints,
-        planar_bodies,
-        planar_gravity,
-    ) = net
-    nv = sines.shape[0]
+    linear, limits = net.linear, net.limits
+    swings, springs, dampers, actuators = net.swings, net.springs, net.dampers, net.actuators
+    friction_rows, friction_pulls = net.friction_rows, net.friction_pulls
+    friction, diagonals = net.friction, net.diagonals
+    law_rows, law_rates, law_offsets = net.law_rows, net.law_rates, net.law_offsets
+    law_addresses, law_starts = net.law_addresses, net.law_starts
+    constants_at = (net.law_limits if exact else net.law_constants).ctypes.data
+    law_frictions, law_memories = net.law_frictions, net.law_memories
+    law_edges, law_edge_kinds = net.law_edges, net.law_edge_kinds
+    tree_parents, tree_dofs, tree_bodies = net.tree_parents, net.tree_dofs, net.tree_bodies
+    tree_joints, tree_ancestors = net.tree_joints, net.tree_ancestors
+    tree_mass, tree_gravity = net.tree_mass, net.tree_gravity
+    planar_joints, planar_bodies = net.planar_joints, net.planar_bodies
+    planar_gravity = net.planar_gravity
+    nv = net.sines.shape[0]
     n = initial.shape[1]
     m = n - nv
     nu = limits.shape[0]
     rubs = friction.shape[0]
-    others = swings.size + springs.shape[0] + dampers.shape[0] + actuators.shape[0]
     laws = law_addresses.size
     turns = tree_parents.size > 0
-    plain = others + laws == 0 and (exact or not rubs) and not turns
+    flat = not turns and (exact or not rubs)
     wanted = rates.shape[0] > 0
-    if plain:
-        onward, drive = _one_step_map(linear, nv, n, h)
-        if not rubs and not wanted:
+    reads, pulls, law_reads, law_places = readings_and_pulls(net)
+    count, forces = reads.shape[0], pulls.shape[0]
+    # What is known before a step, and then the forces at all of its stages.
+    first_force = known_size(linear, rubs)
+    given = np.zeros(first_force + 4 * forces)
+    given[0] = 1.0
+    x, u = given[1 : 1 + n], given[1 + n : 1 + n + nu]
+    slides = given[1 + n + nu : 1 + n + nu + rubs]
+    force = given[first_force:]
+    onward, later = np.zeros((0, n + count)), np.zeros((0, 0))
+    if flat:
+        onward, later = stride_map(linear, reads, pulls, friction_pulls, friction, nv, h, wanted)
+        if not forces and not rubs and not wanted:
             _integrate_linear(
-                linear, onward, drive, limits, initial, controls, starts, samples, substeps, states
+                onward, given, n, limits, initial, controls, starts, samples, substeps, states
             )
             return
-    else:
-        onward, drive = np.zeros((0, 0)), np.zeros((0, 0))
     # Accelerations per force; of a mass that turns they are found anew at every stage.
-    spring_lifts, damper_lifts, actuator_lifts = spring_pulls, damper_pulls, actuator_pulls
-    friction_lifts, law_lifts = friction_pulls, law_pulls
+    lifts, friction_lifts = pulls, friction_pulls
     work = workspace(tree_parents.size, nv if turns else 0)
     planar = planar_joints.shape[0] > 0
     plane = np.empty((planar_joints.shape[0], 12))
     mass, inverse, bias = np.empty((nv, nv)), np.empty((nv, nv)), np.empty(nv)
     if turns:
-        spring_lifts, damper_lifts = spring_pulls.copy(), damper_pulls.copy()
-        actuator_lifts, friction_lifts = actuator_pulls.copy(), friction_pulls.copy()
-        law_lifts, diagonals = law_pulls.copy(), diagonals.copy()
-    u = np.zeros(nu)
-    driven = np.zeros(m)
+        lifts, friction_lifts = pulls.copy(), friction_pulls.copy()
+        diagonals = diagonals.copy()
     pushed = np.zeros(m)
     rate = np.zeros(n)
     total = np.zeros(n)
     stage = np.zeros(n)
-    x = np.zeros(n)
-    after = np.zeros(n)
+    # The state after a step, and the elements' readings: at one stage, or at all of a whole step.
+    ahead = np.zeros(onward.shape[1])
+    after = ahead[:n]
     rub = np.zeros(rubs)
-    slides = np.zeros(rubs)
     slipped = np.zeros(rubs)
     bound = np.zeros(rubs)
     sides = np.zeros(laws)
+    # What has edges, of (1, x) and of time.
+    edge_rows, edge_times = np.zeros((laws, 1 + n)), np.zeros(laws)
+    for e in range(laws):
+        if law_edge_kinds[e] == 2:
+            edge_times[e] = 1.0
+        else:
+            edge_rows[e] = reads[law_reads[e] + law_edge_kinds[e], : 1 + n]
     # Of laws with edges of a speed: the side of the edge just met, and of that on which they ride.
     met = np.zeros(laws)
     rides = np.zeros(laws)
@@ -368,14 +256,9 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
                 v += friction_rows[e, j] * x[nv + j]
             slides[e] = np.sign(v)
         for e in range(laws):
-            z = _beyond_what(
-                law_edge_kinds[e],
-                law_rows[e],
-                law_rates[e],
-                law_offsets[e],
-                x,
-                starts[w] * substeps * h,
-            )
+            z = edge_times[e] * starts[w] * substeps * h
+            for j in range(n + 1):
+                z += edge_rows[e, j] * given[j]
             sides[e] = 1.0 if z > law_edges[e, 1] else (-1.0 if z < law_edges[e, 0] else 0.0)
         for k in range(samples):
             step = (starts[w] + k) * substeps
@@ -396,10 +279,6 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
                 row = min(step + s, controls.shape[0] - 1)
                 for j in range(nu):
                     u[j] = min(max(controls[row, j], limits[j, 0]), limits[j, 1])
-                for r in range(m):
-                    driven[r] = linear[r, 0]
-                    for j in range(nu):
-                        driven[r] += linear[r, 1 + n + j] * u[j]
                 t = (step + s) * h
                 left = h
                 dt = h
@@ -412,246 +291,209 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
                 side, tries = 0, 0
                 while True:
                     rests = False
-                    for i in range(m):
-                        pushed[i] = driven[i]
                     if exact:
                         for e in range(rubs):
                             slipped[e] = 0.0
-                            if slides[e] == 0.0:
-                                rests = True
-                            else:
-                                for i in range(nv):
-                                    pushed[i] -= friction_pulls[e, i] * friction[e, 0] * slides[e]
-                    if plain and not rests and dt == h and not (wanted and s == 0):
-                        for i in range(n):
-                            value = 0.0
-                            for j in range(n):
-                                value += onward[i, j] * x[j]
-                            for j in range(m):
-                                value += drive[i, j] * pushed[j]
-                            after[i] = value
+                            rests = rests or slides[e] == 0.0
+                    whole = flat and not rests and dt == h and not last
+                    for e in range(laws):
+                        whole = whole and met[e] == 0.0 and rides[e] == 0.0
+                    if whole:
+                        carry(onward, given, 0, first_force, ahead)
                     else:
-                        for r in range(1 if last else 4):
-                            c = 0.0 if r == 0 else (dt if r == 3 else 0.5 * dt)
-                            if r:
-                                for i in range(n):
-                                    stage[i] = x[i] + c * rate[i]
-                            else:
-                                for i in range(n):
-                                    stage[i] = x[i]
+                        for i in range(m):
+                            pushed[i] = linear[i, 0]
+                            for j in range(nu):
+                                pushed[i] += linear[i, 1 + n + j] * u[j]
+                        for e in range(rubs if exact else 0):
                             for i in range(nv):
-                                rate[i] = stage[nv + i]
-                            for i in range(m):
-                                value = pushed[i]
-                                for j in range(n):
-                                    value += linear[i, 1 + j] * stage[j]
-                                rate[nv + i] = value
-                            if turns:
-                                if planar:
-                                    planar_mass_and_bias(
-                                        tree_ancestors,
-                                        tree_mass,
-                                        planar_joints,
-                                        planar_bodies,
-                                        planar_gravity,
-                                        plane,
-                                        stage,
-                                        mass,
-                                        bias,
-                                    )
-                                else:
-                                    mass_and_bias(
-                                        tree_parents,
-                                        tree_dofs,
-                                        tree_bodies,
-                                        tree_joints,
-                                        tree_ancestors,
-                                        tree_mass,
-                                        tree_gravity,
-                                        work,
-                                        stage,
-                                        mass,
-                                        bias,
-                                    )
-                                invert(mass, inverse)
-                                for i in range(nv):
-                                    bias[i] = rate[nv + i] - bias[i]
-                                for i in range(nv):
-                                    rate[nv + i] = 0.0
-                                    for j in range(nv):
-                                        rate[nv + i] += inverse[i, j] * bias[j]
-                                _lift(inverse, spring_pulls, spring_lifts)
-                                _lift(inverse, damper_pulls, damper_lifts)
-                                _lift(inverse, actuator_pulls, actuator_lifts)
-                                _lift(inverse, friction_pulls, friction_lifts)
-                                _lift(inverse, law_pulls, law_lifts)
-                                for e in range(rubs):
-                                    diagonals[e] = 0.0
-                                    for j in range(nv):
-                                        diagonals[e] += friction_rows[e, j] * friction_lifts[e, j]
-                            for e in range(swings.size):
-                                j = swings[e]
-                                sine, cosine = math.sin(stage[j]), math.cos(stage[j])
-                                for i in range(nv):
-                                    rate[nv + i] += sines[i, j] * sine + cosines[i, j] * cosine
-                            for e in range(springs.shape[0]):
-                                z = -springs[e, 0]
-                                for j in range(nv):
-                                    z += spring_rows[e, j] * stage[j]
-                                if z > springs[e, 5]:
-                                    z -= springs[e, 5]
-                                elif z < springs[e, 4]:
-                                    z -= springs[e, 4]
-                                else:
-                                    z = 0.0
-                                f = -z * (springs[e, 1] + z * (springs[e, 2] + z * springs[e, 3]))
-                                for i in range(nv):
-                                    rate[nv + i] += spring_lifts[e, i] * f
-                            for e in range(dampers.shape[0]):
-                                v = 0.0
-                                for j in range(nv):
-                                    v += damper_rows[e, j] * stage[nv + j]
-                                a = abs(v)
-                                f = -v * (dampers[e, 0] + a * (dampers[e, 1] + a * dampers[e, 2]))
-                                for i in range(nv):
-                                    rate[nv + i] += damper_lifts[e, i] * f
-                            for e in range(actuators.shape[0]):
-                                z = 0.0
-                                v = 0.0
-                                for j in range(nv):
-                                    z += actuator_rows[e, j] * stage[j]
-                                    v += actuator_rows[e, j] * stage[nv + j]
-                                command = 0.0
-                                if actuators[e, 11] >= 0:
-                                    command = stage[2 * nv + int(actuators[e, 11])]
-                                elif actuators[e, 12] >= 0:
-                                    command = u[int(actuators[e, 12])]
-                                f = actuators[e, 1] * z + actuators[e, 2] * v
-                                f = (actuators[e, 0] + f) * command
-                                f += actuators[e, 3] + actuators[e, 4] * z + actuators[e, 5] * v
-                                if actuators[e, 6] != 0.0:
-                                    angle = actuators[e, 7] * z + actuators[e, 8]
-                                    f += actuators[e, 6] * math.sin(angle)
-                                f = min(max(f, actuators[e, 9]), actuators[e, 10])
-                                for i in range(nv):
-                                    rate[nv + i] += actuator_lifts[e, i] * f
-                            for e in range(rubs):
-                                bound[e] = friction[e, 0]
-                            for e in range(laws):
-                                if met[e] != 0.0 or rides[e] != 0.0:
-                                    continue
-                                z = -law_offsets[e]
-                                v = 0.0
-                                for j in range(nv):
-                                    z += law_rows[e, j] * stage[j]
-                                    v += law_rates[e, j] * stage[nv + j]
-                                base = law_constants.ctypes.data
-                                now = t + c
-                                rubbed = law_frictions[e]
-                                if exact:
-                                    base = law_limits.ctypes.data
-                                    if rubbed >= 0:
-                                        v = abs(v) if abs(v) > REST else REST
-                                        v = -v if slides[rubbed] < 0.0 else v
-                                    on = sides[e]
-                                    first, second = law_edges[e, 0], law_edges[e, 1]
-                                    if law_edge_kinds[e] == 0:
-                                        z = _kept_beyond(z, on, first, second)
-                                    elif law_edge_kinds[e] == 1:
-                                        v = _kept_beyond(v, on, first, second)
-                                    else:
-                                        now = _kept_beyond(now, on, first, second)
-                                constants = pointer_at(base + 8 * law_starts[e])
-                                if law_memories[e, 1]:
-                                    at = 2 * nv + law_memories[e, 0]
-                                    memory = pointer_at(stage.ctypes.data + 8 * at)
-                                    address = law_addresses[e]
-                                    f = call_memory_law(address, z, v, now, constants, memory, 0)
-                                    for j in range(law_memories[e, 1]):
-                                        rate[at + j] += call_memory_law(
-                                            address, z, v, now, constants, memory, j + 1
-                                        )
-                                else:
-                                    f = call_law(law_addresses[e], z, v, now, constants)
-                                if exact and rubbed >= 0 and slides[rubbed] == 0.0:
-                                    bound[rubbed] += abs(f)
-                                    continue
-                                for i in range(nv):
-                                    rate[nv + i] += law_lifts[e, i] * f
-                            # At a speed where its law jumps, a law whose force on either side drives
-                            # back to it keeps the speed, with a force in between (Filippov).
-                            for e in range(laws):
-                                if met[e] == 0.0 and rides[e] == 0.0:
-                                    continue
-                                z = -law_offsets[e]
-                                a = 0.0
-                                per = 0.0
-                                for j in range(nv):
-                                    z += law_rows[e, j] * stage[j]
-                                    a += law_rates[e, j] * rate[nv + j]
-                                    per += law_rates[e, j] * law_lifts[e, j]
-                                on = met[e] if rides[e] == 0.0 else rides[e]
-                                first, second = law_edges[e, 0], law_edges[e, 1]
-                                constants = pointer_at(law_limits.ctypes.data + 8 * law_starts[e])
-                                v = _kept_beyond(second if on > 0.0 else first, 0.0, first, second)
-                                inside = call_law(law_addresses[e], z, v, t + c, constants)
-                                v = _kept_beyond(second if on > 0.0 else first, on, first, second)
-                                outside = call_law(law_addresses[e], z, v, t + c, constants)
-                                if r == 0:
-                                    rides[e] = 0.0
-                                    met[e] = 0.0
-                                    sides[e] = 0.0
-                                    if on * (a + per * outside) >= 0.0:
-                                        sides[e] = on
-                                    elif on * (a + per * inside) > 0.0:
-                                        rides[e] = on
-                                f = inside if sides[e] == 0.0 else outside
-                                if rides[e] != 0.0:
-                                    f = min(
-                                        max(-a / per, min(inside, outside)), max(inside, outside)
-                                    )
-                                for i in range(nv):
-                                    rate[nv + i] += law_lifts[e, i] * f
-                            # min 1/2 f'(A + R) f + f'(a0 + B v), |f| <= F, by Gauss-Seidel: over all
-                            # elements as the engine does, or R = B = 0 over those that stick.
-                            if rests or (rubs and not exact):
-                                for e in range(rubs):
-                                    if rubs == 1 or (exact and slides[e] != 0.0):
-                                        rub[e] = 0.0
-                                    for i in range(nv):
-                                        rate[nv + i] += friction_lifts[e, i] * rub[e]
-                                for _sweep in range(200):
-                                    largest = 0.0
-                                    for e in range(rubs):
-                                        if exact and slides[e] != 0.0:
-                                            continue
-                                        soft = 0.0 if exact else friction[e, 1]
-                                        back = 0.0 if exact else friction[e, 2]
-                                        gradient = soft * rub[e]
-                                        for j in range(nv):
-                                            gradient += friction_rows[e, j] * (
-                                                rate[nv + j] + back * stage[nv + j]
-                                            )
-                                        new = rub[e] - gradient / (diagonals[e] + soft)
-                                        new = min(max(new, -bound[e]), bound[e])
-                                        change = new - rub[e]
-                                        rub[e] = new
-                                        for i in range(nv):
-                                            rate[nv + i] += friction_lifts[e, i] * change
-                                        largest = max(largest, abs(change) / (bound[e] + 1e-300))
-                                    if rubs == 1 or largest < 1e-13:
-                                        break
-                                for e in range(rubs):
-                                    if abs(rub[e]) >= bound[e]:
-                                        slipped[e] = 1.0
-                            if r == 0 and left == h and s == 0 and wanted and cut < 0:
-                                for i in range(m):
-                                    rates[w, k, i] = rate[nv + i]
-                            weight = 1.0 if r == 0 or r == 3 else 2.0
+                                pushed[i] -= friction_pulls[e, i] * friction[e, 0] * slides[e]
+                    for r in range(1 if last else (4 if forces or not whole else 0)):
+                        c = 0.0 if r == 0 else (dt if r == 3 else 0.5 * dt)
+                        at = n + (r * count if whole else 0)
+                        to = r * forces if whole else 0
+                        if whole:
+                            for i in range(count):
+                                value = ahead[at + i]
+                                for j in range(to):
+                                    value += later[r * count + i, j] * force[j]
+                                ahead[at + i] = value
+                        else:
                             for i in range(n):
-                                total[i] = (total[i] if r else 0.0) + weight * rate[i]
+                                stage[i] = x[i] + (c * rate[i] if r else 0.0)
+                            for i in range(count):
+                                value = reads[i, 0]
+                                for j in range(n):
+                                    value += reads[i, 1 + j] * stage[j]
+                                for j in range(nu):
+                                    value += reads[i, 1 + n + j] * u[j]
+                                ahead[n + i] = value
+                        element_forces(
+                            ahead,
+                            at,
+                            t + c,
+                            exact,
+                            sides,
+                            slides,
+                            swings,
+                            springs,
+                            dampers,
+                            actuators,
+                            law_addresses,
+                            law_starts,
+                            constants_at,
+                            law_frictions,
+                            law_edges,
+                            law_edge_kinds,
+                            law_memories,
+                            force,
+                            to,
+                        )
+                        if whole:
+                            continue
+                        for i in range(nv):
+                            rate[i] = stage[nv + i]
+                        for i in range(m):
+                            value = pushed[i]
+                            for j in range(n):
+                                value += linear[i, 1 + j] * stage[j]
+                            rate[nv + i] = value
+                        if turns:
+                            if planar:
+                                planar_mass_and_bias(
+                                    tree_ancestors,
+                                    tree_mass,
+                                    planar_joints,
+                                    planar_bodies,
+                                    planar_gravity,
+                                    plane,
+                                    stage,
+                                    mass,
+                                    bias,
+                                )
+                            else:
+                                mass_and_bias(
+                                    tree_parents,
+                                    tree_dofs,
+                                    tree_bodies,
+                                    tree_joints,
+                                    tree_ancestors,
+                                    tree_mass,
+                                    tree_gravity,
+                                    work,
+                                    stage,
+                                    mass,
+                                    bias,
+                                )
+                            invert(mass, inverse)
+                            for i in range(nv):
+                                bias[i] = rate[nv + i] - bias[i]
+                            for i in range(nv):
+                                rate[nv + i] = 0.0
+                                for j in range(nv):
+                                    rate[nv + i] += inverse[i, j] * bias[j]
+                            _lift(inverse, pulls, lifts)
+                            _lift(inverse, friction_pulls, friction_lifts)
+                            for e in range(rubs):
+                                diagonals[e] = 0.0
+                                for j in range(nv):
+                                    diagonals[e] += friction_rows[e, j] * friction_lifts[e, j]
+                        for e in range(rubs):
+                            bound[e] = friction[e, 0]
+                        for e in range(laws):
+                            to = law_places[e]
+                            if met[e] != 0.0 or rides[e] != 0.0:
+                                for j in range(1 + law_memories[e, 1]):
+                                    force[to + j] = 0.0
+                            elif (
+                                exact and law_frictions[e] >= 0 and slides[law_frictions[e]] == 0.0
+                            ):
+                                bound[law_frictions[e]] += abs(force[to])
+                                force[to] = 0.0
+                        for e in range(forces):
+                            for i in range(m):
+                                rate[nv + i] += lifts[e, i] * force[e]
+                        # At a speed where its law jumps, a law whose force on either side drives
+                        # back to it keeps the speed, with a force in between (Filippov).
+                        for e in range(laws):
+                            if met[e] == 0.0 and rides[e] == 0.0:
+                                continue
+                            to = law_places[e]
+                            z = -law_offsets[e]
+                            a = 0.0
+                            per = 0.0
+                            for j in range(nv):
+                                z += law_rows[e, j] * stage[j]
+                                a += law_rates[e, j] * rate[nv + j]
+                                per += law_rates[e, j] * lifts[to, j]
+                            on = met[e] if rides[e] == 0.0 else rides[e]
+                            first, second = law_edges[e, 0], law_edges[e, 1]
+                            constants = pointer_at(constants_at + 8 * law_starts[e])
+                            v = kept_beyond(second if on > 0.0 else first, 0.0, first, second)
+                            inside = call_law(law_addresses[e], z, v, t + c, constants)
+                            v = kept_beyond(second if on > 0.0 else first, on, first, second)
+                            outside = call_law(law_addresses[e], z, v, t + c, constants)
+                            if r == 0:
+                                rides[e] = 0.0
+                                met[e] = 0.0
+                                sides[e] = 0.0
+                                if on * (a + per * outside) >= 0.0:
+                                    sides[e] = on
+                                elif on * (a + per * inside) > 0.0:
+                                    rides[e] = on
+                            f = inside if sides[e] == 0.0 else outside
+                            if rides[e] != 0.0:
+                                f = min(max(-a / per, min(inside, outside)), max(inside, outside))
+                            for i in range(nv):
+                                rate[nv + i] += lifts[to, i] * f
+                        # min 1/2 f'(A + R) f + f'(a0 + B v), |f| <= F, by Gauss-Seidel: over all
+                        # elements as the engine does, or R = B = 0 over those that stick.
+                        if rests or (rubs and not exact):
+                            for e in range(rubs):
+                                if rubs == 1 or (exact and slides[e] != 0.0):
+                                    rub[e] = 0.0
+                                for i in range(nv):
+                                    rate[nv + i] += friction_lifts[e, i] * rub[e]
+                            for _sweep in range(200):
+                                largest = 0.0
+                                for e in range(rubs):
+                                    if exact and slides[e] != 0.0:
+                                        continue
+                                    soft = 0.0 if exact else friction[e, 1]
+                                    back = 0.0 if exact else friction[e, 2]
+                                    gradient = soft * rub[e]
+                                    for j in range(nv):
+                                        gradient += friction_rows[e, j] * (
+                                            rate[nv + j] + back * stage[nv + j]
+                                        )
+                                    new = rub[e] - gradient / (diagonals[e] + soft)
+                                    new = min(max(new, -bound[e]), bound[e])
+                                    change = new - rub[e]
+                                    rub[e] = new
+                                    for i in range(nv):
+                                        rate[nv + i] += friction_lifts[e, i] * change
+                                    largest = max(largest, abs(change) / (bound[e] + 1e-300))
+                                if rubs == 1 or largest < 1e-13:
+                                    break
+                            for e in range(rubs):
+                                if abs(rub[e]) >= bound[e]:
+                                    slipped[e] = 1.0
+                        if r == 0 and left == h and s == 0 and wanted and cut < 0:
+                            for i in range(m):
+                                rates[w, k, i] = rate[nv + i]
+                        weight = 1.0 if r == 0 or r == 3 else 2.0
+                        for i in range(n):
+                            total[i] = (total[i] if r else 0.0) + weight * rate[i]
+                    if not whole:
                         for i in range(n):
                             after[i] = x[i] + dt / 6.0 * total[i]
+                    else:
+                        if wanted and s == 0 and left == h and cut < 0:
+                            carry(onward, given, first_force, given.size, ahead)
+                            for i in range(m):
+                                rates[w, k, i] = ahead[n + 4 * count + i]
+                        else:
+                            carry(onward, given, first_force, given.size, after)
                     if last or not exact or rubs + laws == 0:
                         break
                     if cut < 0 and events < MOST_EVENTS:
@@ -678,9 +520,11 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
                         for e in range(laws):
                             if not law_edges[e, 1] < np.inf or rides[e] != 0.0:
                                 continue
-                            kind, offset = law_edge_kinds[e], law_offsets[e]
-                            was = _beyond_what(kind, law_rows[e], law_rates[e], offset, x, t)
-                            z = _beyond_what(kind, law_rows[e], law_rates[e], offset, after, t + dt)
+                            was = edge_times[e] * t + edge_rows[e, 0]
+                            z = edge_times[e] * (t + dt) + edge_rows[e, 0]
+                            for j in range(n):
+                                was += edge_rows[e, 1 + j] * x[j]
+                                z += edge_rows[e, 1 + j] * after[j]
                             target = sides[e]
                             border = 0.0
                             if sides[e] == 0.0 and z > law_edges[e, 1]:
@@ -719,15 +563,9 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
                                 v += friction_rows[cut, j] * after[nv + j]
                         else:
                             e = cut - rubs
-                            v = _beyond_what(
-                                law_edge_kinds[e],
-                                law_rows[e],
-                                law_rates[e],
-                                law_offsets[e],
-                                after,
-                                t + dt,
-                            )
-                            v -= edge
+                            v = edge_times[e] * (t + dt) + edge_rows[e, 0] - edge
+                            for j in range(n):
+                                v += edge_rows[e, 1 + j] * after[j]
                         v *= sign
                         tries += 1
                         if abs(v) > 1e-13 * (abs(v_low) + abs(v_high)) and tries < 60:
