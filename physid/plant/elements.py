@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from physid.plant.compiling import kept
+from physid.plant.compiling import BORROWING, kept
 from physid.plant.law import call_law, call_memory_law, pointer_at
 
 EDGE = 1e-12
@@ -23,7 +23,7 @@ REST = 1e-9
 """Speed [m/s or rad/s] at which the friction of an element at rest is read from its law."""
 
 
-@kept(nogil=True, error_model="numpy")
+@kept(**BORROWING)
 def kept_beyond(value, side, low, high):  # type: ignore[no-untyped-def]
     """Return a position, speed or time moved to the side of a law's edges on which the law is now."""
     inset = EDGE * (high - low if low > -np.inf else 1.0 + abs(high))
@@ -108,7 +108,7 @@ def readings_and_pulls(net):  # type: ignore[no-untyped-def]
 
 
 # In line, since passing so many arrays would take longer than the forces do.
-@kept(inline="always", nogil=True, error_model="numpy")
+@kept(inline="always", **BORROWING)
 def element_forces(  # type: ignore[no-untyped-def]  # noqa: C901 - five kinds, one list
     read,
     at,
@@ -148,8 +148,8 @@ def element_forces(  # type: ignore[no-untyped-def]  # noqa: C901 - five kinds, 
         Written, from an index on.
     """
     for _ in range(swings.size):
-        forces[to] = math.sin(read[at])
-        forces[to + 1] = math.cos(read[at])
+        z = read[at]
+        forces[to], forces[to + 1] = math.sin(z), math.cos(z)
         at += 1
         to += 2
     for e in range(springs.shape[0]):

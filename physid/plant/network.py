@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from physid.plant.compiling import kept
+from physid.plant.compiling import BORROWING, kept
 from physid.plant.elements import element_forces, kept_beyond, readings_and_pulls
 from physid.plant.law import call_law, pointer_at
 from physid.plant.planar import planar_mass_and_bias
@@ -87,7 +87,7 @@ class Network(NamedTuple):
     planar_gravity: np.ndarray
 
 
-@kept(nogil=True, error_model="numpy")
+@kept(**BORROWING)
 def _is_held(controls, first, count):  # type: ignore[no-untyped-def]
     """Say whether the inputs do not change over some steps."""
     for s in range(1, count):
@@ -127,7 +127,7 @@ def _integrate_linear(  # type: ignore[no-untyped-def]
                     x[i] = after[i]
 
 
-@kept(nogil=True, error_model="numpy")
+@kept(**BORROWING)
 def _lift(inverse, pulls, lifts):  # type: ignore[no-untyped-def]
     """Write the accelerations M^-1 w' (e, nv, and more that stays) of forces w' (e, nv)."""
     nv = inverse.shape[0]
@@ -143,7 +143,7 @@ MOST_EVENTS = 24
 
 
 @kept(nogil=True, error_model="numpy")
-def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per record, and hot
+def integrate(  # type: ignore[no-untyped-def]
     net, exact, initial, controls, starts, samples, substeps, h, states, rates
 ):
     """Integrate windows with the classical fourth-order Runge-Kutta method.
@@ -174,10 +174,121 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
     rates : (w, samples, nv + na) or (0, 0, 0)
         Accelerations and activations' rates at the samples, written if there is room.
     """
+    linear, friction_pulls, friction = net.linear, net.friction_pulls, net.friction
+    nv, n = net.sines.shape[0], initial.shape[1]
+    rubs, laws, bodies = friction.shape[0], net.law_addresses.size, net.tree_parents.size
+    turns = bodies > 0
+    flat = not turns and (exact or not rubs)
+    wanted = rates.shape[0] > 0
+    reads, pulls, law_reads, law_places = readings_and_pulls(net)
+    count, forces = reads.shape[0], pulls.shape[0]
+    known = known_size(linear, rubs)
+    given = np.zeros(known + 4 * forces)
+    given[0] = 1.0
+    onward, later = np.zeros((0, n + count)), np.zeros((0, 0))
+    if flat:
+        onward, later = stride_map(linear, reads, pulls, friction_pulls, friction, nv, h, wanted)
+        if not forces and not rubs and not wanted:
+            _integrate_linear(
+                onward, given, n, net.limits, initial, controls, starts, samples, substeps, states
+            )
+            return
+    # What has edges, of (1, x) and of time.
+    edge_rows, edge_times = np.zeros((laws, 1 + n)), np.zeros(laws)
+    for e in range(laws):
+        if net.law_edge_kinds[e] == 2:
+            edge_times[e] = 1.0
+        else:
+            edge_rows[e] = reads[law_reads[e] + net.law_edge_kinds[e], : 1 + n]
+    _integrate_elements(
+        net,
+        exact,
+        initial,
+        controls,
+        starts,
+        samples,
+        substeps,
+        h,
+        states,
+        rates,
+        flat,
+        reads,
+        pulls,
+        law_places,
+        edge_rows,
+        edge_times,
+        onward,
+        later,
+        known,
+        given,
+        np.zeros(onward.shape[1]),
+        pulls.copy(),
+        friction_pulls.copy(),
+        net.diagonals.copy(),
+        np.zeros((4, n)),
+        np.zeros((3, rubs)),
+        np.zeros((3, laws)),
+        np.empty((2 * nv + 1, nv)),
+        np.empty((net.planar_joints.shape[0], 12)),
+        workspace(bodies, nv if turns else 0),
+    )
+
+
+@kept(**BORROWING)
+def _integrate_elements(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per record, and hot
+    net,
+    exact,
+    initial,
+    controls,
+    starts,
+    samples,
+    substeps,
+    h,
+    states,
+    rates,
+    flat,
+    reads,
+    pulls,
+    law_places,
+    edge_rows,
+    edge_times,
+    onward,
+    later,
+    first_force,
+    given,
+    ahead,
+    lifts,
+    friction_lifts,
+    diagonals,
+    of_states,
+    of_frictions,
+    of_laws,
+    square,
+    plane,
+    work,
+):
+    """Integrate windows of a rig with elements; see :func:`integrate`, which makes all arrays.
+
+    Parameters
+    ----------
+    flat : bool
+        Whether whole steps are one map: ``onward`` and ``later`` of :func:`stride_map`.
+    reads, pulls, law_places : ndarray
+        Of the elements; see :func:`physid.plant.elements.readings_and_pulls`.
+    edge_rows, edge_times : (laws, 1 + n), (laws,)
+        What of (1, x) and of time has a law's edges.
+    given : (first_force + 4 forces,)
+        What is known before a step, and then the forces at all of its stages.
+    ahead : (any,)
+        The state after a step, and the elements' readings: at one stage, or at all of a whole step.
+    lifts, friction_lifts, diagonals : ndarray
+        Accelerations per force; of a mass that turns they are found anew at every stage.
+    of_states, of_frictions, of_laws, square, plane, work : ndarray
+        Room.
+    """
     linear, limits = net.linear, net.limits
     swings, springs, dampers, actuators = net.swings, net.springs, net.dampers, net.actuators
-    friction_rows, friction_pulls = net.friction_rows, net.friction_pulls
-    friction, diagonals = net.friction, net.diagonals
+    friction_rows, friction_pulls, friction = net.friction_rows, net.friction_pulls, net.friction
     law_rows, law_rates, law_offsets = net.law_rows, net.law_rates, net.law_offsets
     law_addresses, law_starts = net.law_addresses, net.law_starts
     constants_at = (net.law_limits if exact else net.law_constants).ctypes.data
@@ -188,62 +299,20 @@ def integrate(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per reco
     tree_mass, tree_gravity = net.tree_mass, net.tree_gravity
     planar_joints, planar_bodies = net.planar_joints, net.planar_bodies
     planar_gravity = net.planar_gravity
-    nv = net.sines.shape[0]
-    n = initial.shape[1]
-    m = n - nv
-    nu = limits.shape[0]
-    rubs = friction.shape[0]
-    laws = law_addresses.size
-    turns = tree_parents.size > 0
-    flat = not turns and (exact or not rubs)
-    wanted = rates.shape[0] > 0
-    reads, pulls, law_reads, law_places = readings_and_pulls(net)
+    m, nu = linear.shape[0], limits.shape[0]
+    n, nv = initial.shape[1], net.sines.shape[0]
+    rubs, laws = friction.shape[0], law_addresses.size
     count, forces = reads.shape[0], pulls.shape[0]
-    # What is known before a step, and then the forces at all of its stages.
-    first_force = known_size(linear, rubs)
-    given = np.zeros(first_force + 4 * forces)
-    given[0] = 1.0
+    turns, planar, wanted = tree_parents.size > 0, planar_joints.shape[0] > 0, rates.shape[0] > 0
     x, u = given[1 : 1 + n], given[1 + n : 1 + n + nu]
     slides = given[1 + n + nu : 1 + n + nu + rubs]
     force = given[first_force:]
-    onward, later = np.zeros((0, n + count)), np.zeros((0, 0))
-    if flat:
-        onward, later = stride_map(linear, reads, pulls, friction_pulls, friction, nv, h, wanted)
-        if not forces and not rubs and not wanted:
-            _integrate_linear(
-                onward, given, n, limits, initial, controls, starts, samples, substeps, states
-            )
-            return
-    # Accelerations per force; of a mass that turns they are found anew at every stage.
-    lifts, friction_lifts = pulls, friction_pulls
-    work = workspace(tree_parents.size, nv if turns else 0)
-    planar = planar_joints.shape[0] > 0
-    plane = np.empty((planar_joints.shape[0], 12))
-    mass, inverse, bias = np.empty((nv, nv)), np.empty((nv, nv)), np.empty(nv)
-    if turns:
-        lifts, friction_lifts = pulls.copy(), friction_pulls.copy()
-        diagonals = diagonals.copy()
-    pushed = np.zeros(m)
-    rate = np.zeros(n)
-    total = np.zeros(n)
-    stage = np.zeros(n)
-    # The state after a step, and the elements' readings: at one stage, or at all of a whole step.
-    ahead = np.zeros(onward.shape[1])
     after = ahead[:n]
-    rub = np.zeros(rubs)
-    slipped = np.zeros(rubs)
-    bound = np.zeros(rubs)
-    sides = np.zeros(laws)
-    # What has edges, of (1, x) and of time.
-    edge_rows, edge_times = np.zeros((laws, 1 + n)), np.zeros(laws)
-    for e in range(laws):
-        if law_edge_kinds[e] == 2:
-            edge_times[e] = 1.0
-        else:
-            edge_rows[e] = reads[law_reads[e] + law_edge_kinds[e], : 1 + n]
+    pushed, rate, total, stage = of_states[0], of_states[1], of_states[2], of_states[3]
+    rub, slipped, bound = of_frictions[0], of_frictions[1], of_frictions[2]
     # Of laws with edges of a speed: the side of the edge just met, and of that on which they ride.
-    met = np.zeros(laws)
-    rides = np.zeros(laws)
+    sides, met, rides = of_laws[0], of_laws[1], of_laws[2]
+    mass, inverse, bias = square[:nv], square[nv : 2 * nv], square[2 * nv]
     for w in range(initial.shape[0]):
         for i in range(n):
             x[i] = initial[w, i]

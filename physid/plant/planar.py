@@ -13,7 +13,7 @@ import math
 import mujoco
 import numpy as np
 
-from physid.plant.compiling import kept
+from physid.plant.compiling import BORROWING, kept
 
 ALONG = 1e-13
 """Sine of an angle between directions that is rounding."""
@@ -66,7 +66,7 @@ def read_planar(
     return joints, bodies, plane @ gravity
 
 
-@kept(nogil=True, error_model="numpy")
+@kept(**BORROWING)
 def planar_mass_and_bias(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per stage, and hot
     ancestors, fixed, joints, bodies, gravity, work, state, mass, bias
 ):

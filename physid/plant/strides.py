@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from physid.plant.compiling import kept
+from physid.plant.compiling import BORROWING, kept
 
 TOGETHER = 4
 """Rows of the map that are summed in one go, which is several times faster than one by one."""
 
 
-@kept(nogil=True, error_model="numpy")
+@kept(**BORROWING)
 def known_size(linear, rubs):  # type: ignore[no-untyped-def]
     """Return the size of what is known before a step: 1, x, u, signs of sliding, and zeros."""
     return -(-(linear.shape[1] + rubs) // TOGETHER) * TOGETHER
@@ -78,7 +78,7 @@ def stride_map(linear, reads, pulls, rub_pulls, friction, nv, h, rated):  # type
     return np.ascontiguousarray(found.T), later
 
 
-@kept(nogil=True, error_model="numpy")
+@kept(**BORROWING)
 def _combine(shares, rows, into):  # type: ignore[no-untyped-def]
     """Add a combination of rows; most of a rig's numbers are zero."""
     for j in range(shares.size):
@@ -101,7 +101,7 @@ def several_strides(onward, n, strides):  # type: ignore[no-untyped-def]
 
 
 # In line, since the call would take as long as a small rig's step.
-@kept(inline="always", nogil=True, error_model="numpy")
+@kept(inline="always", **BORROWING)
 def carry(onward, given, first, end, ahead):  # type: ignore[no-untyped-def]
     """Write what comes, by the map's first rows, of the given; or add what comes by further ones.
 

@@ -15,7 +15,7 @@ import math
 import mujoco
 import numpy as np
 
-from physid.plant.compiling import kept
+from physid.plant.compiling import BORROWING, kept
 from physid.plant.planar import read_planar
 
 MOST_TURNING = 8
@@ -138,7 +138,7 @@ def workspace(bodies, joints):  # type: ignore[no-untyped-def]
     )
 
 
-@kept(nogil=True, error_model="numpy")
+@kept(**BORROWING)
 def mass_and_bias(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per stage, and hot
     parents, dofs, bodies, joints, ancestors, fixed, gravity, work, state, mass, bias
 ):
@@ -151,8 +151,10 @@ def mass_and_bias(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per 
     # r: frame, x: place, w: angular velocity, al and a: accelerations without any joint's.
     r, after, x, arm, w = small[0], small[1], small[2], small[3], small[4]
     al, a, moment, spun = small[5], small[6], small[7], small[8]
-    mass[:] = fixed
-    bias[:] = 0.0
+    for i in range(nv):
+        bias[i] = 0.0
+        for j in range(nv):
+            mass[i, j] = fixed[i, j]
     for b in range(parents.size):
         p = parents[b]
         body = bodies[b]
@@ -269,7 +271,7 @@ def mass_and_bias(  # type: ignore[no-untyped-def]  # noqa: C901 - one call per 
             d = ancestors[d]
 
 
-@kept(nogil=True, error_model="numpy")
+@kept(**BORROWING)
 def _add_cross(total, one, other, times):  # type: ignore[no-untyped-def]
     """Add a multiple of a cross product."""
     total[0] += times * (one[1] * other[2] - one[2] * other[1])
@@ -277,7 +279,7 @@ def _add_cross(total, one, other, times):  # type: ignore[no-untyped-def]
     total[2] += times * (one[0] * other[1] - one[1] * other[0])
 
 
-@kept(nogil=True, error_model="numpy")
+@kept(**BORROWING)
 def _add_carried(a, w, al, arm):  # type: ignore[no-untyped-def]
     """Add to an acceleration what another point of the body has more: al x arm + w x (w x arm)."""
     _add_cross(a, al, arm, 1.0)
@@ -287,7 +289,7 @@ def _add_carried(a, w, al, arm):  # type: ignore[no-untyped-def]
         a[i] += along * w[i] - square * arm[i]
 
 
-@kept(nogil=True, error_model="numpy")
+@kept(**BORROWING)
 def _rotate(joint, angle, r, after):  # type: ignore[no-untyped-def]
     """Turn a frame about an axis of its own (Rodrigues' formula)."""
     c, s = math.cos(angle), math.sin(angle)
@@ -302,7 +304,7 @@ def _rotate(joint, angle, r, after):  # type: ignore[no-untyped-def]
         r[i] = after[i]
 
 
-@kept(nogil=True, error_model="numpy")
+@kept(**BORROWING)
 def _turned_inertia(body, r, inertia):  # type: ignore[no-untyped-def]
     """Write R I R' (3, 3) of a body's inertia about its centre of mass."""
     for i in range(3):
@@ -314,7 +316,7 @@ def _turned_inertia(body, r, inertia):  # type: ignore[no-untyped-def]
             inertia[i, j] = first * r[3 * j] + second * r[3 * j + 1] + third * r[3 * j + 2]
 
 
-@kept(nogil=True, error_model="numpy")
+@kept(**BORROWING)
 def invert(mass, inverse):  # type: ignore[no-untyped-def]
     """Write the inverse of a positive definite matrix (n, n), which is overwritten (Gauss, Jordan)."""
     n = mass.shape[0]
