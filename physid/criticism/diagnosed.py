@@ -10,7 +10,8 @@ from typing import Any
 
 from physid.criticism.account import channel_rows, record_rows, simulation_row, worst_channels
 from physid.criticism.comparison import Lack, Result, lack_of, parameters_of
-from physid.criticism.diagnosis import Diagnosis, candidate_rows, diagnose_study, with_effects
+from physid.criticism.diagnosis import Diagnosis, candidate_rows, with_effects
+from physid.criticism.freeing import diagnosed_freely
 from physid.criticism.leads import read_leads, silence_notes
 from physid.criticism.limits import check_limits
 from physid.criticism.localisation import where
@@ -63,7 +64,7 @@ def diagnose(
     study = prepare(loaded, records, settings)
     study = replace(study, notes=(*study.notes, *silence_notes(evidence)))
     check_duration(study)
-    found = diagnose_study(study, span=(0.3, 0.85), leads=leads)
+    study, found = diagnosed_freely(study, span=(0.3, 0.85), leads=leads)
     settings.report("finding where the model fails", 0.85)
     base = _base_fit(study, found)
     best = _best_fit(study, found) if found.candidates else None

@@ -159,6 +159,18 @@ def _left_at_best(judging: Mapping[str, Bench]) -> list[float]:
     return [g.estimate.squares / g.problem.measurements() for g in longer.values()]
 
 
+def led_by(study: Study, found: Diagnosis, k: int) -> Diagnosis:
+    """Return a diagnosis led by another of its candidates, which other data decided for."""
+    order = [k, *(i for i in range(len(found.candidates)) if i != k)]
+    places = {old: new for new, old in enumerate(order)}
+    candidates = tuple(
+        replace(c, alike=tuple(sorted(places[i] for i in c.alike)))
+        for c in (found.candidates[i] for i in order)
+    )
+    sentence = _missing_sentence(study, candidates[0])
+    return replace(found, candidates=candidates, sentence=sentence)
+
+
 def with_effects(study: Study, candidate: Candidate, horizon: str = "long") -> Study:
     """Return the study with a candidate's effects in its model, at the values fitted at a horizon.
 
@@ -241,7 +253,8 @@ def _verdict(
     if ranked and _real(base, ranked[0]):
         best = ranked[0]
         after = best.refit.fits["long"].squares / base.problems["long"].measurements()
-        if after < NOISE_LIKE or (best.explained >= named and best.p_value < CERTAIN):
+        certain = best.explained >= named and best.p_value < CERTAIN
+        if after < NOISE_LIKE or (certain and not _one_does_as_much(ranked)):
             return "effect_missing", _missing_sentence(study, best)
         return "unexplained", (
             "Something is missing that no effect of the catalogue explains: the best candidate, "
@@ -270,6 +283,19 @@ def _real(base: Base, best: Candidate) -> bool:
     share = 1.0 - min(best.refit.ratio(base, h) for h in best.refit.fits)
     held = 1.0 - best.judgement.squares_after / max(best.judgement.squares_before, 1e-300)
     return best.score < -LEAST_GAIN and share > LEAST_SHARE and best.p_value < CHANCE and held > 0.0
+
+
+def _one_does_as_much(ranked: Sequence[Candidate]) -> bool:
+    """Say whether one effect of the best candidate does as much without the others where nothing was chosen.
+
+    Then they were fitted to what no effect explains.
+    """
+    best = ranked[0]
+    return any(
+        set(c.refit.sites()) < set(best.refit.sites())
+        and c.judgement.squares_after <= best.judgement.squares_after
+        for c in ranked[1:]
+    )
 
 
 def _grows(base: Base) -> bool:

@@ -20,7 +20,7 @@ from physid.identification.estimate import Estimate
 from physid.identification.nearby import nearby
 from physid.identification.preselection import preselected
 from physid.identification.problem import Problem
-from physid.identification.screening import Scored, screen, shortlist
+from physid.identification.screening import Scored, beyond_noise, scored_on, shortlist, sketch
 from physid.identification.staged import quick, states_only, vanished
 from physid.identification.study import Study
 from physid.plant.effect import Effect, Scales
@@ -30,16 +30,23 @@ MOST_STARTS = 6
 """Starts of one candidate, over all screenings."""
 RUNAWAY = 8.0
 """Times its own value beyond which a parameter was driven there by what the model lacks."""
+LEADING = 16
+"""Effects at places that are looked at closely: those that do most on a part of a ground's windows."""
 TWIN = 0.95
 """Share of an effect's gain that another must have, on half the grounds, to be perhaps the same."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Group:
-    """An effect at a place with its starts; its best gain on every ground (grounds,)."""
+    """An effect at a place with its starts; its best gain on every ground (grounds,).
+
+    ``shares`` (grounds,) are these gains over what is left there beyond noise; ``rank`` is its best one, from 0.
+    """
 
     scored: list[Scored]
     gains: np.ndarray
+    shares: np.ndarray
+    rank: int = 0
 
     @property
     def effect(self) -> Effect:
@@ -62,9 +69,12 @@ class Group:
         return [Start(s.start, s.theta) for s in self.scored]
 
     def is_twin(self, other: Group) -> bool:
-        """Say whether it would gain as much as another on half the grounds or more."""
+        """Say whether it would gain as much as another on half the grounds or more.
+
+        What remembers gains less on windows, where its initial states are free, and is heard on the longest.
+        """
         alike = self.gains >= TWIN * other.gains
-        return bool(np.mean(alike) >= 0.5)
+        return bool(np.mean(alike) >= 0.5 or (self.effect.memory and alike[-1]))
 
 
 def undistorted(study: Study, problem: Problem) -> Estimate:
@@ -112,23 +122,28 @@ def screened(
     candidates: Sequence[tuple[Effect, Place]],
     most: int,
     per_effect: int,
+    least: float = 0.0,
 ) -> list[Group]:
     """Screen on several grounds and join the shortlists, alternating.
 
     What one ground proposes starts in the shapes that all of them see.  A ground near which the
-    simulation diverges is none.  Where every candidate would take runs of MuJoCo of its own, the force
-    balance chooses first.
+    simulation diverges is none.  Of what the model leaves beyond noise, candidates must gain the share ``least``
+    on a part of the windows of one.  Where every candidate would take runs of MuJoCo of its own, the force balance
+    chooses first.
     """
     problem, fit = grounds[0]
     if not quick(problem) and nearby(problem, fit.theta, fit.states) is None:
         candidates = preselected(problem, fit, candidates)
-    screens = []
+    sketches = []
     for problem, fit in grounds:
         with suppress(NumericsError):
-            screens.append(screen(problem, fit, candidates, per_effect))
-    chosen = dict.fromkeys(
-        site for row in zip_longest(*(shortlist(s, most) for s in screens)) for site in row if site
-    )
+            sketches.append(sketch(problem, fit, candidates))
+    # What leads on one ground is looked at on all.
+    leading = set[tuple[str, Place]]().union(*(s.leading(LEADING, least) for s in sketches))
+    screens = [scored_on(s, leading, per_effect) for s in sketches]
+    left = np.array([beyond_noise(s.ground.problem, s.ground.estimate) for s in sketches])
+    lists = [shortlist(s, most) for s in screens]
+    chosen = dict.fromkeys(site for row in zip_longest(*lists) for site in row if site)
     groups = []
     for site in chosen:
         known: list[Scored] = []
@@ -137,5 +152,12 @@ def screened(
             own = [s for s in scored if (s.effect.name, s.place) == site]
             gains.append(own[0].gain if own else 0.0)
             known += [s for s in own if not any(alike(s.start, k.start) for k in known)]
-        groups.append(Group(scored=known[:MOST_STARTS], gains=np.array(gains)))
+        groups.append(
+            Group(
+                scored=known[:MOST_STARTS],
+                gains=np.array(gains),
+                shares=np.array(gains) / left,
+                rank=min(ranks[site] for ranks in lists if site in ranks),
+            )
+        )
     return groups

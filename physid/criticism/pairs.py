@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from physid.criticism.base import NOISE_ALONE, Base
-from physid.criticism.grounds import grounds_of, screened
+from physid.criticism.grounds import Group, grounds_of, screened
 from physid.criticism.merit import explained, halves, noise_like, scores, sorted_by_score
 from physid.criticism.refit import Refit, Start, refit, start_of, with_block, with_candidate
 from physid.errors import NumericsError
@@ -24,10 +24,15 @@ REFITS = 4
 """Candidates refitted from each of the two screenings."""
 PARTNERS = 3
 """Best single effects that get a partner, and partners tried from each screening."""
+PROMISES = 0.4
+"""Share of what a single leaves beyond noise, on some ground, that a partner must promise to gain.  Right
+ones promised 0.75 to 0.99 over a score of rigs: beside what is right, what is missing is nearly all that is left."""
 LIKE = 0.8
 """Share of an effect's gain alone that another must have to be exchanged for it in a pair."""
+EQUAL = 1.1
+"""Squares over those of a pair that an exchange must be on its way to."""
 WELL_NAMED = 0.95
-"""... beyond which no pair is looked for."""
+"""Share of the excess explained beyond which no pair is looked for."""
 
 
 def _different(fits: Sequence[Refit]) -> list[Refit]:
@@ -90,46 +95,74 @@ def pairs_beside(
     have been the wider law of two because its partner was missing; beside it the simpler one is tried.
     """
     found: list[Refit] = []
-    wanted = list(candidates)
     most = PARTNERS - 1 if len(singles) > 1 else REFITS
     for single in singles:
         problems = {h: single.on(base.problems[h].windows) for h in single.fits}
-        rest = [
-            (effect, place)
-            for effect, place in possible_candidates(problems["long"])
-            if (effect, place) in wanted
-            and not any(
-                a.effect.name in effect.supersedes and a.place == place for a in single.added
-            )
-        ]
-        grounds = grounds_of(problems, single.fits)
+        rest = _partners(problems["long"], single, candidates)
+        # Partners are told by what is left over long: on short windows a single leaves little of it.
+        grounds = grounds_of(problems, {h: e for h, e in single.fits.items() if h != "short"})
         if vanished(problems["long"], single.fits["long"].theta):
             with suppress(NumericsError):
                 grounds.insert(0, _from_own_values(problems["long"], single))
         goals = {h: _worth_a_pair(base, single, fits[0], h) for h in single.fits}
-        for group in screened(grounds, rest, most, 1):
-            pair = refit(
-                base,
-                problems["long"],
-                group.starts,
-                group.scales,
-                rank=single.rank,
-                already=single.added,
-                near=limit if any(noise_like(base, f) for f in found) else np.inf,
-                goal=goals["long"],
-            )
+        explaining: list[Group] = []
+        for group in screened(grounds, rest, REFITS, 1, 0.5 * PROMISES):
+            # Beyond the first, only what looks like one that explains all is asked: it may be the same.
+            further = group.rank >= most and not any(group.is_twin(g) for g in explaining)
+            if further or group.shares.max() < PROMISES:
+                continue
+            near = limit if any(noise_like(base, f) for f in found) else np.inf
+            pair = _pair(base, problems["long"], single, group, near, goals, fits, scales)
             if pair is None:
                 continue
-            if not pair.plausible(scales):
-                pair = _simpler(base, pair, fits, scales)
-            pair = with_block(base, pair, goals.get("block", np.inf))
-            if any(frozenset(f.sites()) == frozenset(pair.sites()) for f in found):
-                continue
-            if any(halves(base, single, pair, h) for h in base.fits):
+            explaining += [group] if noise_like(base, pair) else []
+            known = any(frozenset(f.sites()) == frozenset(pair.sites()) for f in found)
+            if not known and any(halves(base, single, pair, h) for h in base.fits):
                 found.append(_ordered(base, pair, fits))
         if any(noise_like(base, pair, NOISE_ALONE) for pair in found):
             break  # no pair from a worse single can do better
     return found
+
+
+def _pair(
+    base: Base,
+    inner: Problem,
+    single: Refit,
+    group: Group,
+    near: float,
+    goals: Mapping[str, float],
+    fits: Sequence[Refit],
+    scales: Mapping[Place, Scales],
+) -> Refit | None:
+    """Fit a partner beside a single; see :func:`physid.criticism.refit.refit`."""
+    pair = refit(
+        base,
+        inner,
+        group.starts,
+        group.scales,
+        rank=single.rank,
+        already=single.added,
+        near=near,
+        goal=goals["long"],
+    )
+    if pair is None:
+        return None
+    if not pair.plausible(scales):
+        pair = _simpler(base, pair, fits, scales)
+    return with_block(base, pair, goals.get("block", np.inf))
+
+
+def _partners(
+    problem: Problem, single: Refit, candidates: Sequence[tuple[Effect, Place]]
+) -> list[tuple[Effect, Place]]:
+    """Return the candidates that may stand beside a single: not itself, nor what contains it at its place."""
+    wanted = list(candidates)
+    return [
+        (effect, place)
+        for effect, place in possible_candidates(problem)
+        if (effect, place) in wanted
+        and not any(a.effect.name in effect.supersedes and a.place == place for a in single.added)
+    ]
 
 
 def _from_own_values(problem: Problem, single: Refit) -> tuple[Problem, Estimate]:
@@ -203,7 +236,9 @@ def _exchanged_for(
     inner = with_candidate(base.problems["long"], (partner,))
     theta = start_of(pair.problem, pair.fits["long"].theta, inner)
     starts = [Start(placed, theta)]
-    return refit(base, inner, starts, scales, rank=pair.rank, already=(partner,))
+    # What ends clearly above it is not exchanged for it.
+    goal = EQUAL * pair.fits["long"].squares
+    return refit(base, inner, starts, scales, rank=pair.rank, already=(partner,), goal=goal)
 
 
 def _worth_a_pair(base: Base, single: Refit, best: Refit, horizon: str) -> float:

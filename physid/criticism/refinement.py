@@ -32,26 +32,24 @@ from physid.criticism.diagnosis import (
     Diagnosis,
     candidate_rows,
     describe,
-    diagnose_study,
     with_effects,
 )
+from physid.criticism.freeing import diagnosed_freely, with_freed
 from physid.criticism.leads import read_leads, silence_notes
 from physid.criticism.localisation import where
 from physid.criticism.merit import LEAST_GAIN
 from physid.criticism.pictures import diagnosis_curves, tested_curves
 from physid.criticism.refit import start_of, with_candidate
+from physid.criticism.steps import Step, Unsure, simulated_on, step_of, told_apart
 from physid.effects.catalogue import load_model_text
 from physid.errors import DivergedError, NumericsError
 from physid.identification.accuracy import SHARE, for_engine, with_substeps
-from physid.identification.beginnings import beginning_notes, with_likely_beginnings
+from physid.identification.beginnings import beginning_notes
 from physid.identification.estimate import Estimate
-from physid.identification.fitting import FAR_WORSE, Fitted, fit_study
-from physid.identification.freedom import identifiable_beside
+from physid.identification.fitting import FAR_WORSE, Fitted
 from physid.identification.output_error import minimise
 from physid.identification.problem import Problem
-from physid.identification.staged import states_only
 from physid.identification.study import Options, Study, as_model, experiments_of, prepare
-from physid.identification.windows import whole
 from physid.plant.effect import Placed
 from physid.plant.model import Model
 
@@ -61,16 +59,6 @@ HALF = 0.5
 """... or what they are beyond noise to this share."""
 MOST_ROUNDS = 4
 """Diagnoses in one refinement at most."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Step:
-    """One step of a refinement: what was added, the fit, and how it does on the test records."""
-
-    added: tuple[Placed, ...]
-    fitted: Fitted
-    tested: tuple[Problem, Estimate] | None
-    p_value: float | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,21 +98,27 @@ def refine(
     study = prepare(loaded, records, settings)
     study = replace(study, notes=(*study.notes, *silence_notes(evidence)))
     settings.report("fitting the model as it stands", 0.25)
-    steps = [_step(study, tests, (), None)]
+    steps = [step_of(study, tests, (), None)]
     first: Diagnosis | None = None
     remaining = "unexplained"
     known: Mapping[str, Estimate] | None = None
+    unsure: list[Unsure] = []
+    begun = study
     for round_number in range(MOST_ROUNDS):
         width = 0.6 / MOST_ROUNDS
         begin = 0.3 + round_number * width
         try:
-            found = diagnose_study(
+            seen, found = diagnosed_freely(
                 study,
                 span=(begin, begin + width),
                 beside=first is not None,
                 leads=leads,
                 known=known,
             )
+            if seen is not study:
+                begun = with_freed(begun, seen.problem.parameters[len(study.problem.parameters) :])
+                study = seen
+                steps[-1] = step_of(study, tests, steps[-1].added, steps[-1].p_value)
         except NumericsError:
             if first is None:
                 raise
@@ -139,13 +133,12 @@ def refine(
         added = _added_one_by_one(study, tests, found, steps[-1])
         kept = _earning_their_place(steps[-1], added)
         steps += added[:kept]
-        if kept:
-            problem = steps[-1].fitted.problem.on(study.problem.windows)
-            problem = with_substeps(problem, study.simulator.substeps)
-            study = replace(
-                study, problem=problem, theta=steps[-1].fitted.estimate.theta, states=None
-            )
-        known = found.candidates[0].refit.fits if kept == len(added) else None
+        other = told_apart(begun, tests, steps, unsure) if kept else None
+        if other is not None:
+            steps, first = other.steps, other.first(study, first)
+        unsure += [Unsure(step=len(steps) - 1, found=found)] if kept == 1 else []
+        study = _from_here(study, steps[-1].fitted) if kept else study
+        known = found.candidates[0].refit.fits if kept == len(added) and not other else None
         if not kept and found is first and _could_be_earned(steps[-1]):
             first = _without_a_place(first)
         if kept < len(added) or not added:
@@ -156,6 +149,12 @@ def refine(
         remaining = "unexplained"
     settings.report("writing the refined model", 0.95)
     return _refinement(study, tests, steps, first, remaining)
+
+
+def _from_here(study: Study, fitted: Fitted) -> Study:
+    """Return the study with a fitted model, on its own windows and steps."""
+    problem = with_substeps(fitted.problem.on(study.problem.windows), study.simulator.substeps)
+    return replace(study, problem=problem, theta=fitted.estimate.theta, states=None)
 
 
 def _holds_on_whole_records(fitted: Fitted, found: Diagnosis) -> bool:
@@ -228,7 +227,7 @@ def _added_one_by_one(
         p_value = singles.get(best.refit.sites()[:k], best.p_value)
         waiting = (*waiting, placed[k - 1])
         with suppress(NumericsError):
-            steps.append(_step(part, tests, waiting, p_value))
+            steps.append(step_of(part, tests, waiting, p_value))
             waiting = ()
     last = _all_added(study, tests, best, (*waiting, placed[-1]), steps[-1] if steps else before)
     return [] if last is None else [*steps, last]
@@ -250,7 +249,7 @@ def _all_added(
         if horizon not in best.refit.fits:
             continue
         with suppress(NumericsError):
-            step = _step(with_effects(study, best, horizon), tests, added, best.p_value)
+            step = step_of(with_effects(study, best, horizon), tests, added, best.p_value)
             if found is None or step.fitted.estimate.squares < found.fitted.estimate.squares:
                 found = step
             fitted = found.fitted
@@ -258,59 +257,6 @@ def _all_added(
             if _earned(*squares, fitted.problem.measurements()):
                 break
     return found
-
-
-def _step(
-    study: Study, tests: Sequence[Any], added: tuple[Placed, ...], p_value: float | None
-) -> Step:
-    fitted = fit_study(study)
-    if added and study.options.fit == "auto":
-        fitted = _more_freed(study, fitted)
-    tested = _tested(fitted.model, fitted.problem, tests)
-    return Step(added=added, fitted=fitted, tested=tested, p_value=p_value)
-
-
-def _more_freed(study: Study, fitted: Fitted) -> Fitted:
-    """Free what whole records tell once they are explained, and windows of a model that lacked something did not."""
-    problem = fitted.problem
-    if not _is_noise_like(fitted):
-        return fitted
-    try:
-        more = identifiable_beside(problem, fitted.estimate)
-        if not more:
-            return fitted
-        wider = replace(
-            study,
-            problem=replace(study.problem, parameters=(*problem.parameters, *more)),
-            theta=np.concatenate([fitted.estimate.theta, [p.value for p in more]]),
-            states=fitted.estimate.states,
-        )
-        return fit_study(wider)
-    except NumericsError:
-        return fitted
-
-
-def _is_noise_like(fitted: Fitted) -> bool:
-    return fitted.estimate.squares < NOISE_LIKE * fitted.problem.measurements()
-
-
-def _tested(
-    model: Model, fitted: Problem, tests: Sequence[Any], states: list[np.ndarray] | None = None
-) -> tuple[Problem, Estimate] | None:
-    """Simulate test records with every parameter frozen; only initial states are estimated, from some if known.
-
-    They decide nothing: a model that diverges on them is shown without them.
-    """
-    if not tests:
-        return None
-    simulator = fitted.windows[0].simulator
-    windows = tuple(whole(e, replace(simulator, dt=e.dt)) for e in tests)
-    problem = Problem(model=model, parameters=(), windows=windows, sigma=fitted.sigma)
-    try:
-        problem = with_likely_beginnings(problem, np.zeros(0))
-        return problem, states_only(problem, states)
-    except DivergedError:
-        return None
 
 
 def _refinement(
@@ -418,7 +364,7 @@ def _from_file(
         estimate=replace(fitted.estimate, states=estimate.states, residuals=estimate.residuals),
     )
     known = None if step.tested is None else step.tested[1].states
-    tested = _tested(model, problem, tests, known)
+    tested = simulated_on(model, problem, tests, known)
     if tests and tested is None:
         notes.append("The refined model diverges along the test records; their error is not shown.")
     return replace(step, fitted=kept, tested=tested), notes

@@ -449,7 +449,7 @@ def _fit_horizons(
         short_fit = _fitted(base, brief, start, "short", min(base.fits["short"].squares, hoped))
         if short_fit.squares > hoped:
             return None
-        states = followed(long, short_fit.theta) if _halves_short(base, short_fit) else None
+        states = followed(long, short_fit.theta) if _halves(base, short_fit, "short") else None
         long_fit = _fitted(base, long, short_fit.theta, "long", goal, states)
         if long_fit.chi2 > 0.9 * base.fits["long"].chi2:
             other = _fitted(base, long, start, "long", goal)
@@ -469,7 +469,9 @@ def _none_stuck(base: Base, trial: Problem, fits: dict[str, Estimate]) -> dict[s
     telling = [h for h in left if h != "short" or not trial.model.memory]
     best = min(telling, key=lambda h: left[h])
     found = dict(fits)
-    for horizon in fits if left[best] < NEARLY and compiled(trial) else ():
+    # Where the base fits nearly as well, all candidates do, and it says nothing of them.
+    telling_much = left[best] < NEARLY and _halves(base, fits[best], best)
+    for horizon in fits if telling_much and compiled(trial) else ():
         problem = trial.on(base.problems[horizon].windows)
         if left[horizon] > FAR_FROM * left[best]:
             with suppress(NumericsError, ModelError):
@@ -477,10 +479,10 @@ def _none_stuck(base: Base, trial: Problem, fits: dict[str, Estimate]) -> dict[s
     return found
 
 
-def _halves_short(base: Base, fit: Estimate) -> bool:
-    """Say whether a fit on short windows takes more than half of what the base leaves there beyond noise."""
-    noise = base.problems["short"].measurements()
-    return fit.squares - noise < 0.5 * (base.fits["short"].squares - noise)
+def _halves(base: Base, fit: Estimate, horizon: str) -> bool:
+    """Say whether a fit takes more than half of what the base leaves beyond noise at a horizon."""
+    noise = base.problems[horizon].measurements()
+    return fit.squares - noise < 0.5 * (base.fits[horizon].squares - noise)
 
 
 def _fitted(

@@ -14,6 +14,7 @@ from physid.criticism.grounds import Group, grounds_for, grounds_of, screened
 from physid.criticism.leads import Lead, led
 from physid.criticism.merit import (
     LEAST_GAIN,
+    explained,
     noise_like,
     ordered,
     quiet_base,
@@ -76,6 +77,8 @@ RIVALLING, SETTLED_BY = 1.1, 0.5
 another step there must be expected to gain: candidates are told apart by less than ends a fit on its way."""
 CONTENDING = 10.0
 """... of those whose steps are looked at: what a step too long leaves may be all that tells them apart."""
+FAR_FROM_NAMED = 0.7
+"""Share of what the model leaves beyond noise, of which the best candidate removes less where nothing will be named."""
 FINER = 4
 """Times that steps are made shorter at most so that integration errors are no evidence."""
 SAME = 10.0
@@ -116,6 +119,9 @@ def search(
         long = base.problems["long"]
         sizes = scales_of(long, base.fits["long"]) if _has_kinds(fits[0]) else {}
         fits[0] = in_other_kinds(base, in_other_shapes(base, fits[0]), sizes)
+    far = not singly and fits and not noise_like(base, fits[0])
+    if far and explained(base, fits[0]) < FAR_FROM_NAMED:
+        return fits
     return _at_their_minimum(study, base, fits)
 
 
@@ -241,8 +247,13 @@ def _caught_up(base: Base, fit: Refit, best: Refit) -> Refit:
         others = [e.theta for h, e in fit.fits.items() if h != horizon]
         for theta in [*others, _taken_over(fit, best, horizon)]:
             with suppress(NumericsError):
-                found = fit_windows(problem, theta, followed(problem, theta))
-                fits[horizon] = min(fits[horizon], found, key=lambda e: e.chi2)
+                # What does not come halfway to the best one is told from it as it is.
+                least = fits[horizon].chi2
+                goal = 0.5 * (least + min(least, best.fits[horizon].chi2))
+                states = followed(problem, theta)
+                found = minimise(problem, theta, states, iterations=12, tolerance=1e-3, goal=goal)
+                if found.chi2 < least:
+                    fits[horizon] = fit_windows(problem, found.theta, found.states)
     return replace(fit, fits=fits)
 
 

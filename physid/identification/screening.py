@@ -8,7 +8,7 @@ Breusch, Pagan 1980).  Nothing is differentiated and no candidate is fitted yet.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -34,8 +34,10 @@ CLOSER = 3
 CONTENDERS = 20
 """Effects at places for which that is done, best first: several times as many as a shortlist takes, for
 shapes in between gain little more than those next to them."""
+PART = 3
+"""One window in so many is a part of them that tells effects and shapes apart."""
 FEWEST_WINDOWS = 4
-"""Windows from which on a third of them tells shapes apart."""
+"""Windows from which on it does; of fewer it is the first of so many parts of each."""
 SAME = 1e-3
 """Share by which gains may differ that are the same: a constant load and a sensor's offset, on a spring."""
 MOST_SAMPLES = 12000
@@ -169,6 +171,57 @@ def every(stride: int, problem: Problem, estimate: Estimate) -> tuple[Problem, E
     )
 
 
+def beginnings(stride: int, problem: Problem, estimate: Estimate) -> tuple[Problem, Estimate]:
+    """Keep of every window the first of so many parts."""
+    windows = [replace(w, samples=max(w.samples // stride, 1)) for w in problem.windows]
+    residuals = [r[:, : w.samples] for r, w in zip(estimate.residuals, windows, strict=True)]
+    return problem.with_windows(windows), replace(estimate, residuals=residuals)
+
+
+@dataclass(frozen=True, slots=True)
+class Sketch:
+    """A ground, and what a part of its windows says of candidates.
+
+    ``rows`` are effects at places with the shapes worth trying and their best gain there, infinite for
+    what cannot be judged by a part; ``beyond`` is what the model leaves there beyond noise.
+    """
+
+    ground: Ground
+    rows: tuple[tuple[Effect, Place, Sequence[Trial], float], ...]
+    beyond: float
+
+    def leading(self, most: int, least: float) -> set[tuple[str, Place]]:
+        """Return the effects and places that gain most, and no less than a share of what is left."""
+        gains = sorted((gain for *_, gain in self.rows), reverse=True)
+        if not gains:
+            return set()
+        last = max(gains[min(most, len(gains)) - 1], least * self.beyond)
+        return {(effect.name, place) for effect, place, _, gain in self.rows if gain >= last}
+
+
+def sketch(
+    problem: Problem, estimate: Estimate, candidates: Sequence[tuple[Effect, Place]]
+) -> Sketch:
+    """Score every candidate on a part of the windows, in all its shapes."""
+    ground = ground_of(*thinned_fit(problem, estimate))
+    spread = min(len(w.starts) for w in ground.problem.windows) >= FEWEST_WINDOWS
+    cut = every if spread else beginnings
+    part = ground_of(*cut(PART, ground.problem, ground.estimate))
+    rows = []
+    for effect, place in candidates:
+        if place not in ground.scales:
+            continue
+        trials = effect.trials(ground.scales[place])
+        # What happens at an instant may happen on none of the beginnings.
+        unseen = not spread and any(c.instant for c in effect.coefficients)
+        scored = [] if unseen else sorted(_scores(part, effect, place, trials), key=lambda s: -s[0])
+        gain = scored[0][0] if scored else np.inf
+        if scored and len(trials) >= MANY:
+            trials = [s[1] for s in scored[:KEPT]]
+        rows.append((effect, place, trials, gain))
+    return Sketch(ground, tuple(rows), beyond_noise(part.problem, part.estimate))
+
+
 def screen(
     problem: Problem,
     estimate: Estimate,
@@ -192,16 +245,18 @@ def screen(
     list of Scored
         Best first.
     """
-    problem, estimate = thinned_fit(problem, estimate)
-    ground = ground_of(problem, estimate)
-    sketch = _sketch(problem, estimate)
+    drawn = sketch(problem, estimate, candidates)
+    return scored_on(drawn, {(effect.name, place) for effect, place in candidates}, per_effect)
+
+
+def scored_on(drawn: Sketch, chosen: Set[tuple[str, Place]], per_effect: int) -> list[Scored]:
+    """Score the chosen candidates of a sketch on all windows, best first; see :func:`screen`."""
+    ground = drawn.ground
     coarse: list[tuple[Effect, Place, list[_Score]]] = []
-    for effect, place in candidates:
-        if place in ground.scales:
-            trials = _promising(sketch, effect, place, effect.trials(ground.scales[place]))
-            own = _scores(ground, effect, place, trials)
-            if own:
-                coarse.append((effect, place, sorted(own, key=lambda s: -s[0])))
+    for effect, place, trials, _ in drawn.rows:
+        own = _scores(ground, effect, place, trials) if (effect.name, place) in chosen else []
+        if own:
+            coarse.append((effect, place, sorted(own, key=lambda s: -s[0])))
     coarse.sort(key=lambda c: -c[2][0][0])
     found: list[Scored] = []
     for rank, (effect, place, own) in enumerate(coarse):
@@ -221,21 +276,11 @@ def _looked_closer(ground: Ground, effect: Effect, place: Place, own: list[_Scor
     return own
 
 
-def _sketch(problem: Problem, estimate: Estimate) -> Ground | None:
-    """Return the ground on a third of the windows, if there are enough."""
-    if min(len(w.starts) for w in problem.windows) < FEWEST_WINDOWS:
-        return None
-    return ground_of(*every(3, problem, estimate))
-
-
-def _promising(
-    sketch: Ground | None, effect: Effect, place: Place, trials: Sequence[Trial]
-) -> Sequence[Trial]:
-    """Leave out shapes of an effect with many that do little on a third of the windows."""
-    if sketch is None or len(trials) < MANY:
-        return trials
-    scored = sorted(_scores(sketch, effect, place, trials), key=lambda s: -s[0])
-    return [s[1] for s in scored[:KEPT]] or trials
+def beyond_noise(problem: Problem, estimate: Estimate) -> float:
+    """Return the squares that a fit leaves beyond noise, or the standard deviation of noise's own."""
+    squares = sum(float(np.sum(r * r)) for r in estimate.residuals)
+    size = float(problem.measurements())
+    return max(squares - size, float(np.sqrt(2.0 * size)))
 
 
 def _scores(ground: Ground, effect: Effect, place: Place, trials: Sequence[Trial]) -> list[_Score]:
@@ -333,22 +378,22 @@ def _making_room(ground: Ground, response: np.ndarray) -> np.ndarray:
     return np.asarray(np.clip(moved, lower, upper))
 
 
-def shortlist(scored: Sequence[Scored], most: int) -> list[tuple[str, Place]]:
-    """Return the first so many effects and places, in the order of their best scores.
+def shortlist(scored: Sequence[Scored], most: int) -> dict[tuple[str, Place], int]:
+    """Return the first so many effects and places, in the order of their best scores, and the rank of each from 0.
 
-    Those that gain the same do the same, by what names they may be called, and count as one.
+    Those that gain the same do the same, by what names they may be called, and share a rank.
     """
     best: dict[tuple[str, Place], float] = {}
     for s in scored:
         best.setdefault((s.effect.name, s.place), s.gain)
-    listed: list[tuple[str, Place]] = []
-    last, count = np.inf, 0
+    listed: dict[tuple[str, Place], int] = {}
+    last, rank = np.inf, -1
     for site, gain in best.items():
         if gain < (1.0 - SAME) * last:
-            last, count = gain, count + 1
-        if count > most:
+            last, rank = gain, rank + 1
+        if rank >= most:
             break
-        listed.append(site)
+        listed[site] = rank
     return listed
 
 

@@ -8,7 +8,7 @@ import pytest
 
 import physid
 from physid.cli import main
-from physid.criticism import refinement
+from physid.criticism import freeing, refinement, steps
 from physid.errors import DivergedError
 from physid.record import write_record
 
@@ -99,7 +99,7 @@ def test_nothing_is_written_by_halves(slider, records, tmp_path, monkeypatch, er
 
     write_record(records[0], tmp_path / "r.csv")
     monkeypatch.setattr(refinement, "_refinement", fail)
-    monkeypatch.setattr(refinement, "diagnose_study", fail)
+    monkeypatch.setattr(freeing, "diagnose_study", fail)
     out = tmp_path / "out"
     words = ["refine", slider, tmp_path / "r.csv", "--fit", "rail.damping", "--out", out]
     assert main([str(word) for word in words]) == code
@@ -108,14 +108,14 @@ def test_nothing_is_written_by_halves(slider, records, tmp_path, monkeypatch, er
 
 
 def test_an_effect_with_which_records_cannot_be_fitted_is_left_out(slider, records, monkeypatch):
-    fit = refinement.fit_study
+    fit = steps.fit_study
 
     def fitted(study):
         if study.model.effects:
             raise DivergedError("A hair's breadth away.")
         return fit(study)
 
-    monkeypatch.setattr(refinement, "fit_study", fitted)
+    monkeypatch.setattr(steps, "fit_study", fitted)
     told = physid.refine(slider, records[:1], fit=["rail.damping"]).as_dict()
     assert told["verdict"] == "unexplained"
     assert "does not lower the error over whole records" in told["sentence"]
@@ -125,7 +125,7 @@ def test_an_effect_with_which_records_cannot_be_fitted_is_left_out(slider, recor
 
 
 def test_a_second_look_that_diverges_ends_no_study(slider, records, monkeypatch):
-    diagnose, looks = refinement.diagnose_study, []
+    diagnose, looks = freeing.diagnose_study, []
 
     def looked(study, **options):
         looks.append(study)
@@ -136,8 +136,8 @@ def test_a_second_look_that_diverges_ends_no_study(slider, records, monkeypatch)
     def diverging(problem, states=None):
         raise DivergedError("Along the test.")
 
-    monkeypatch.setattr(refinement, "diagnose_study", looked)
-    monkeypatch.setattr(refinement, "states_only", diverging)
+    monkeypatch.setattr(freeing, "diagnose_study", looked)
+    monkeypatch.setattr(steps, "states_only", diverging)
     found = physid.refine(slider, records[:1], test=records[1:], fit=["rail.damping"]).as_dict()
     assert found["remaining"] == "unexplained"
     assert len(found["steps"]) == 2

@@ -84,7 +84,7 @@ def test_an_effect_that_contains_an_explaining_one_waits_for_its_fit(rubbing):
 
 def group_of(effect, *gains, place=HINGE):
     scored = SimpleNamespace(effect=EFFECTS[effect], place=place, scales=None)
-    return Group(scored=[scored], gains=np.array(gains))
+    return Group(scored=[scored], gains=np.array(gains), shares=np.ones(len(gains)))
 
 
 def test_what_would_gain_most_or_is_contained_in_it_is_refitted_first():
@@ -433,7 +433,7 @@ def test_an_effect_of_a_pair_is_exchanged_for_what_did_as_well_alone(rubbing, mo
         singles.append(refit(rubbing.base, long, [start], scale, rank=rank))
     tried = []
 
-    def spied(base, inside, starts, scales, *, rank, already):
+    def spied(base, inside, starts, scales, *, rank, already, goal):
         tried.append((already[0].effect.name, starts[0].placed.effect.name))
 
     monkeypatch.setattr(pairs, "refit", spied)
@@ -527,6 +527,21 @@ def test_effects_that_gain_the_same_count_as_one():
     found = [scored("a", 9.0), scored("b", 8.9999), scored("c", 5.0), scored("a", 4.0)]
     assert [name for name, _ in shortlist(found, 1)] == ["a", "b"]
     assert [name for name, _ in shortlist(found, 2)] == ["a", "b", "c"]
+
+
+def test_what_remembers_is_a_twin_on_the_longest_ground():
+    lag, other = group_of("sensor_lag", 5.0, 9.9), group_of("actuator_lag", 10.0, 10.0)
+    assert lag.is_twin(other)
+    assert not group_of("sensor_lag", 5.0, 5.0).is_twin(other)
+    assert not group_of("sensor_delay", 2.0, 3.0, 9.9).is_twin(group_of("backlash", 9.0, 9.0, 10.0))
+
+
+def test_a_rank_is_shared_by_what_gains_the_same():
+    def scored(name, gain):
+        return SimpleNamespace(effect=SimpleNamespace(name=name), place=HINGE, gain=gain)
+
+    found = [scored("a", 9.0), scored("b", 8.9999), scored("c", 5.0)]
+    assert list(shortlist(found, 2).values()) == [0, 0, 1]
 
 
 def test_the_law_that_a_wider_one_contains_is_fitted_from_where_that_ended(rubbing):

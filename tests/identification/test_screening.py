@@ -38,31 +38,51 @@ def fitted(tmp_path_factory):
 
 def test_the_true_ripple_is_among_the_few_that_are_simulated_everywhere(fitted):
     case, problem, estimate = fitted
-    sketch = screening._sketch(problem, estimate)
-    trials = COGGING.trials(sketch.scales[PLACE])
-    kept = screening._promising(sketch, COGGING, PLACE, trials)
-    assert len(kept) == screening.KEPT < len(trials)
+    drawn = screening.sketch(problem, estimate, [(COGGING, PLACE)])
+    [(_, _, kept, gain)] = drawn.rows
+    assert len(kept) == screening.KEPT < len(COGGING.trials(drawn.ground.scales[PLACE]))
     assert case.parameters["periods"] in {t.columns[0]["periods"] for t in kept}
+    assert 0.3 * drawn.beyond < gain < 2.0 * drawn.beyond
     best = screening.screen(problem, estimate, [(COGGING, PLACE)])[0]
     assert best.start.values["periods"] == case.parameters["periods"]
 
 
-def test_where_a_third_of_the_windows_tells_nothing_all_shapes_are_tried(fitted, monkeypatch):
+def test_where_a_part_of_the_windows_tells_nothing_all_shapes_are_tried(fitted, monkeypatch):
     _, problem, estimate = fitted
-    sketch = screening._sketch(problem, estimate)
-    trials = COGGING.trials(sketch.scales[PLACE])
     monkeypatch.setattr(screening, "_scores", lambda *_: [])
-    assert screening._promising(sketch, COGGING, PLACE, trials) is trials
+    drawn = screening.sketch(problem, estimate, [(COGGING, PLACE)])
+    [(_, _, kept, gain)] = drawn.rows
+    assert len(kept) == len(COGGING.trials(drawn.ground.scales[PLACE]))
+    assert gain == np.inf
 
 
-def test_few_shapes_and_few_windows_are_left_alone(fitted):
+def test_of_few_windows_the_beginnings_are_a_part_and_tell_nothing_of_instants(fitted):
     _, problem, estimate = fitted
-    trials = [*COGGING.trials(screening.ground_of(problem, estimate).scales[PLACE])]
-    assert screening._promising(None, COGGING, PLACE, trials) is trials
-    sketch = screening._sketch(problem, estimate)
-    assert screening._promising(sketch, COGGING, PLACE, trials[:3]) == trials[:3]
     long = windowed(problem, np.inf)
-    assert screening._sketch(long, estimate) is None
+    whole = minimise(long, estimate.theta, iterations=3)
+    change = next(e for e in CATALOGUE if e.name == "switched_damping")
+    step = next(e for e in CATALOGUE if any(c.instant for c in e.coefficients))
+    part, cut = screening.beginnings(3, long, whole)
+    assert [w.samples for w in part.windows] == [w.samples // 3 for w in long.windows]
+    assert [r.shape[1] for r in cut.residuals] == [w.samples for w in part.windows]
+    rows = screening.sketch(long, whole, [(COGGING, PLACE), (change, PLACE), (step, PLACE)]).rows
+    gains = {effect.name: gain for effect, _, _, gain in rows}
+    assert np.isfinite(gains["cogging"])
+    assert gains.get(step.name, np.inf) == np.inf
+
+
+def test_what_leads_gains_most_and_not_too_little(fitted):
+    _, problem, estimate = fitted
+    sites = [
+        (e, PLACE)
+        for e in CATALOGUE
+        if e.name in ("cogging", "coulomb_friction", "cubic_stiffness", "constant_load")
+    ]
+    drawn = screening.sketch(problem, estimate, sites)
+    assert drawn.leading(1, 0.0) == {("cogging", PLACE)}
+    assert drawn.leading(9, 0.0) == {(e.name, PLACE) for e, _ in sites}
+    assert ("cogging", PLACE) in drawn.leading(9, 0.3)
+    assert drawn.leading(9, 2.0) == set()
 
 
 @pytest.mark.parametrize("width", [1, 4, 15, 90])

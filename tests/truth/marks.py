@@ -9,7 +9,17 @@ from typing import Any
 import numpy as np
 from scipy.stats import kstest
 
-from .scoring import Json, among_first, covers, figure, is_first, named, over_floor, site
+from .scoring import (
+    LARGEST_SET,
+    Json,
+    among_first,
+    covers,
+    figure,
+    is_first,
+    named,
+    over_floor,
+    site,
+)
 from .trials import Trial
 
 Line = dict[str, Any]
@@ -95,13 +105,18 @@ def _false(refinement: Json, added: Sequence[str], truth: Sequence[str], first: 
 
 
 def _both(refinement: Json, added: Sequence[str], truth: Sequence[str]) -> bool:
-    """Say whether two effects are all in what was added, or in the first candidate or its set."""
+    """Say whether two effects are all in what was added, or in the first candidate or its set.
+
+    What was added later stands beside whichever of the set is the right one.
+    """
     if refinement["verdict"] != "effect_missing":
         return False
     best = refinement["candidates"][0]
-    groups = [[site(e) for e in best["effects"]], added]
-    groups += [[site(e) for e in group] for group in best["indistinguishable_from"][:3]]
-    return any(set(truth) <= set(group) for group in groups)
+    first = [site(e) for e in best["effects"]]
+    alike = [[site(e) for e in group] for group in best["indistinguishable_from"]]
+    groups = [first, *(alike if len(alike) <= LARGEST_SET else [])]
+    later = [s for s in added if s not in first]
+    return set(truth) <= set(added) or any(set(truth) <= {*group, *later} for group in groups)
 
 
 def _covered(trial: Trial, refinement: Json) -> dict[str, bool]:
