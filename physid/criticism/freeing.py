@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
 from physid.criticism.diagnosis import Diagnosis, diagnose_study
 from physid.criticism.leads import Lead
+from physid.criticism.merit import LEAST_GAIN
+from physid.criticism.refit import Refit
+from physid.errors import NumericsError
 from physid.identification.estimate import Estimate
-from physid.identification.freedom import candidates
+from physid.identification.freedom import candidates, identifiable_beside
+from physid.identification.output_error import minimise
 from physid.identification.study import Study
 from physid.plant.parameter import Parameter
 
+LAWS = (".damping", ".stiffness", ".frictionloss")
+"""What a wrong value of is no effect that is missing: an effect adds to them."""
 MOST_LOOKS = 3
 """Diagnoses of one model at most, parameters being freed in between."""
 
@@ -63,15 +70,36 @@ def with_freed(study: Study, more: Sequence[Parameter]) -> Study:
 
 
 def _wrong_ones(study: Study, found: Diagnosis) -> list[Parameter]:
-    """Return parameters of the model, not free, that the best candidate would only change."""
-    if study.options.fit != "auto" or found.verdict != "effect_missing":
+    """Return parameters that were left as they stand, and that free explain as much as the best candidate.
+
+    At values that are fitted more of them shows than when they were chosen.
+    """
+    if study.options.fit != "auto" or found.verdict == "nothing_missing":
         return []
-    structure = study.model.structure
-    changed = {
-        f"{structure.label(p.place)}.{p.effect.contained_in}"
-        for p in found.candidates[0].refit.added
-        if p.effect.contained_in
-    }
-    free = {p.name for p in study.problem.parameters}
-    had = [p for p in candidates(study.model) if p.name in changed - free]
-    return [p for p in had if p.value != 0.0]
+    longest = "block" if "block" in found.base.fits else "long"
+    problem, base = found.base.problems[longest], found.base.fits[longest]
+    named = found.verdict == "effect_missing"
+    best = found.candidates[0].refit if named else None
+    only_changed = _changed_by(study, best) if best is not None else set()
+    with suppress(NumericsError):
+        shown = {p.name for p in identifiable_beside(problem, base)}
+        had = [p for p in candidates(study.model) if p.name.endswith(LAWS)]
+        free = {p.name for p in problem.parameters}
+        more = [p for p in had if p.name in (shown | only_changed) - free]
+        if not more:
+            return []
+        wider = replace(problem, parameters=(*problem.parameters, *more))
+        theta = np.concatenate([base.theta, [p.value for p in more]])
+        freed = minimise(wider, theta, base.states, iterations=12, tolerance=1e-3)
+        rival = base if best is None else best.fits[longest]
+        least = LEAST_GAIN * len(more)
+        explains = freed.squares < base.squares - least and freed.squares < rival.squares + least
+        return more if explains else []
+    return []
+
+
+def _changed_by(study: Study, best: Refit) -> set[str]:
+    """Return the names of the model's parameters that a candidate adds to."""
+    label = study.model.structure.label
+    placed = [p for p in best.added if p.effect.contained_in]
+    return {f"{label(p.place)}.{p.effect.contained_in}" for p in placed}

@@ -31,6 +31,9 @@ LIKE = 0.8
 """Share of an effect's gain alone that another must have to be exchanged for it in a pair."""
 EQUAL = 1.1
 """Squares over those of a pair that an exchange must be on its way to."""
+HALF_NAMED, CERTAINLY = 0.8, 6.0
+"""Share of the excess explained below which a best single wants a partner though little is left, and standard
+deviations of noise's squares by which that must be more than noise."""
 WELL_NAMED = 0.95
 """Share of the excess explained beyond which no pair is looked for."""
 
@@ -63,7 +66,7 @@ def wanting_partners(base: Base, fits: Sequence[Refit]) -> list[Refit]:
         return []
     best = fits[0]
     simpler = [f for f in fits[1:] if _may_imitate(best, f)]
-    if noise_like(base, best):
+    if noise_like(base, best) and not _half_named(base, best):
         # A pair that does no worse than what remembers must be told, if one of it does nearly all;
         # what does all by itself needs no partner.
         own = best.added[0].effect.memory
@@ -72,6 +75,14 @@ def wanting_partners(base: Base, fits: Sequence[Refit]) -> list[Refit]:
     if explained(base, best) >= WELL_NAMED:
         return simpler[:1]
     return _different(fits)[:PARTNERS]
+
+
+def _half_named(base: Base, best: Refit) -> bool:
+    """Say whether a single leaves a good part of a small excess, and certainly more than noise over long."""
+    size = base.problems["long"].measurements()
+    beyond = best.fits["long"].squares - size
+    left = beyond > CERTAINLY * np.sqrt(2.0 * size)
+    return bool(left and explained(base, best) < HALF_NAMED)
 
 
 def _may_imitate(best: Refit, other: Refit) -> bool:

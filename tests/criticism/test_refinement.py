@@ -1,6 +1,8 @@
 """From a record to a file that explains it: what is written is what was found."""
 
 import json
+from dataclasses import replace
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -8,8 +10,9 @@ import pytest
 
 import physid
 from physid.cli import main
-from physid.criticism import freeing, refinement, steps
+from physid.criticism import diagnosis, freeing, refinement, steps
 from physid.errors import DivergedError
+from physid.identification.study import Options, prepare
 from physid.record import write_record
 
 
@@ -157,3 +160,83 @@ def test_a_second_look_that_diverges_ends_no_study(slider, records, monkeypatch)
 )
 def test_an_effect_earns_its_place_by_what_was_left_beyond_noise(before, after, earned):
     assert refinement._earned(before, after, 48_000.0) is earned
+
+
+@pytest.fixture(scope="module")
+def study(slider, records):
+    return prepare(slider, records[:1], Options(fit=["rail.damping"]))
+
+
+@pytest.fixture(scope="module")
+def found(study):
+    return diagnosis.diagnose_study(study)
+
+
+def site_of(candidate):
+    return candidate.refit.sites()[0][0]
+
+
+def test_another_candidate_leads_a_diagnosis_and_its_likes_are_still_its_own(study, found):
+    k = len(found.candidates) - 1
+    linked = [replace(c, alike=()) for c in found.candidates]
+    linked[0] = replace(linked[0], alike=(k,))
+    linked[k] = replace(linked[k], alike=(0,))
+    led = diagnosis.led_by(study, replace(found, candidates=tuple(linked)), k)
+    assert site_of(led.candidates[0]) == site_of(found.candidates[k])
+    assert site_of(led.candidates[1]) == site_of(found.candidates[0])
+    assert led.candidates[0].alike == (1,)
+    assert led.candidates[1].alike == (0,)
+    assert site_of(led.candidates[0]).replace("_", " ") in led.sentence.lower()
+
+
+def test_an_effect_gives_way_to_one_it_could_not_be_told_from_that_leaves_less(study, found):
+    right = next(k for k, c in enumerate(found.candidates) if site_of(c) == "coulomb_friction")
+    wrong = next(k for k, c in enumerate(found.candidates) if "friction" not in site_of(c))
+    pair = tuple(found.candidates[k] for k in (wrong, right))
+    unsure = replace(found, candidates=(replace(pair[0], alike=(1,)), replace(pair[1], alike=(0,))))
+    begun = [steps.step_of(study, [], (), None)]
+    named = steps.step_of(
+        diagnosis.with_effects(study, pair[0]), [], pair[0].refit.fitted, pair[0].p_value
+    )
+    told = steps.told_apart(study, [], [*begun, named], [steps.Unsure(step=1, found=unsure)])
+    assert told is not None
+    [_, step] = told.steps
+    assert [p.effect.name for p in step.added] == ["coulomb_friction"]
+    assert step.fitted.estimate.squares < named.fitted.estimate.squares
+    assert site_of(told.first(study, unsure).candidates[0]) == "coulomb_friction"
+    assert told.first(study, found) is found
+    # The right one gives way to none.
+    again = steps.Unsure(step=1, found=diagnosis.led_by(study, unsure, 1))
+    assert steps.told_apart(study, [], told.steps, [again]) is None
+
+
+def test_a_parameter_that_was_left_wrong_is_freed_and_not_named_as_missing(slider, make_run):
+    study = prepare(slider, [make_run(seed=3)], Options(fit="auto"))
+    names = [p.name for p in study.problem.parameters]
+    assert "rail.damping" in names
+    at = names.index("rail.damping")
+    wrong = replace(
+        study,
+        theta=np.delete(study.theta, at),
+        notes=("rail.damping is not freed: it hardly changes what is measured.",),
+        problem=replace(
+            study.problem,
+            model=study.model.with_values({"rail.damping": 3.0 * study.theta[at]}),
+            parameters=tuple(p for p in study.problem.parameters if p.name != "rail.damping"),
+        ),
+    )
+    seen, found = freeing.diagnosed_freely(wrong, span=(0.0, 1.0))
+    assert found.verdict == "nothing_missing"
+    assert [p.name for p in seen.problem.parameters][-1] == "rail.damping"
+    assert [n[:21] for n in seen.notes] == ["rail.damping is freed"]
+
+
+def test_one_effect_that_does_as_much_as_two_where_nothing_was_chosen_is_seen():
+    def candidate(names, after):
+        refit = SimpleNamespace(sites=lambda: tuple((n, "rail") for n in names))
+        return SimpleNamespace(refit=refit, judgement=SimpleNamespace(squares_after=after))
+
+    two = candidate(["cogging", "backlash"], 5.0)
+    assert diagnosis._one_does_as_much([two, candidate(["cogging"], 4.0)])
+    assert not diagnosis._one_does_as_much([two, candidate(["cogging"], 6.0)])
+    assert not diagnosis._one_does_as_much([two, candidate(["coulomb_friction"], 4.0)])

@@ -182,7 +182,7 @@ def refinement(*sites, alike=(), verdict="effect_missing", added=None, value=1.0
     }
 
 
-OTHER = "constant_load@slide"
+OTHER, THIRD = "constant_load@slide", "cubic_stiffness@slide"
 MARKED = [
     (trial("one", TRUTH), refinement(TRUTH), True, True, ""),
     (trial("one", TRUTH), refinement(OTHER, alike=[[TRUTH]]), True, False, ""),
@@ -216,6 +216,22 @@ MARKED = [
         False,
         False,
         f"only {TRUTH} of {TRUTH} and {OTHER}",
+    ),
+    (
+        trial("two", TRUTH, THIRD),
+        refinement(OTHER, alike=[[TRUTH]], added=[OTHER, THIRD]),
+        True,
+        False,
+        "",
+    ),
+    (
+        trial("two", TRUTH, THIRD),
+        refinement(
+            OTHER, alike=[[TRUTH], *([f"cogging@{k}"] for k in "abc")], added=[OTHER, THIRD]
+        ),
+        False,
+        False,
+        f"{OTHER} named for {TRUTH} and {THIRD}",
     ),
     (trial("nothing"), refinement(verdict="nothing_missing"), True, True, ""),
     (trial("nothing"), refinement(TRUTH), False, False, f"{TRUTH} named for nothing"),
