@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physid.criticism import diagnosis, evidence, merit, pairs, search
+from physid.criticism import diagnosis, evidence, merit, pairs, rivals, search
 from physid.criticism import refit as refitting
 from physid.criticism.base import Split
 from physid.criticism.grounds import Group
@@ -258,9 +258,9 @@ def test_candidates_that_rival_the_best_are_compared_at_their_minimum(rubbing):
             for h, e in found.fits.items()
         },
     )
-    assert search._within(search.RIVALLING, early, found)
-    assert not search._within(search.CONTENDING, far, found)
-    done = search._at_their_minimum(rubbing.study, rubbing.base, [found, early, far])
+    assert rivals._within(rivals.RIVALLING, early, found)
+    assert not rivals._within(rivals.CONTENDING, far, found)
+    done = rivals.at_their_minimum(rubbing.study, rubbing.base, [found, early, far])
     assert done[2] is far
     squares = [[e.chi2 for e in f.fits.values()] for f in done[:2]]
     np.testing.assert_allclose(*squares, atol=5.0)
@@ -351,12 +351,12 @@ def test_what_a_candidate_adds_is_fitted_in_steps_short_for_it(rubbing, monkeypa
     """Integration errors of the candidate's own run count, not those of the base's."""
     found = refitted(rubbing)
     coarse = found.problem.windows[0].simulator.substeps
-    assert search._in_shorter_steps(rubbing.base, found) is found
-    refined = search.refine_steps
+    assert rivals._in_shorter_steps(rubbing.base, found) is found
+    refined = rivals.refine_steps
     monkeypatch.setattr(
-        search, "refine_steps", lambda p, t, x, n, share, most: refined(p, t, x, n, 0.0, 2 * n)
+        rivals, "refine_steps", lambda p, t, x, n, share, most: refined(p, t, x, n, 0.0, 2 * n)
     )
-    finer = search._in_shorter_steps(rubbing.base, found)
+    finer = rivals._in_shorter_steps(rubbing.base, found)
     long = rubbing.base.problems["long"]
     assert finer.on(long.windows).windows[0].simulator.substeps == 2 * coarse
     for horizon, fit in finer.fits.items():
@@ -514,8 +514,8 @@ def test_a_rival_that_stopped_elsewhere_catches_up(rubbing):
     stuck = best.fits["short"]
     stuck = replace(stuck, residuals=[3.0 * r for r in stuck.residuals], chi2=9.0 * stuck.chi2)
     behind = replace(best, fits={**best.fits, "short": stuck})
-    assert search._rivals(behind, best)
-    found = search._caught_up(base, behind, best)
+    assert rivals._rivals(behind, best)
+    found = rivals._caught_up(base, behind, best)
     assert found.fits["short"].chi2 == pytest.approx(best.fits["short"].chi2, rel=0.01)
     assert found.fits["long"] is best.fits["long"]
 
