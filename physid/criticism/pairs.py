@@ -27,6 +27,8 @@ PARTNERS = 3
 PROMISES = 0.4
 """Share of what a single leaves beyond noise, on some ground, that a partner must promise to gain.  Right
 ones promised 0.75 to 0.99 over a score of rigs: beside what is right, what is missing is nearly all that is left."""
+LOST = 1e3
+"""Mean squares over the noise's that a single leaves from which nothing looks like itself, and no promise tells."""
 LIKE = 0.8
 """Share of an effect's gain alone that another must have to be exchanged for it in a pair."""
 EQUAL = 1.1
@@ -110,17 +112,20 @@ def pairs_beside(
     for single in singles:
         problems = {h: single.on(base.problems[h].windows) for h in single.fits}
         rest = _partners(problems["long"], single, candidates)
-        # Partners are told by what is left over long: on short windows a single leaves little of it.
-        grounds = grounds_of(problems, {h: e for h, e in single.fits.items() if h != "short"})
+        lost = single.fits["long"].squares > LOST * base.problems["long"].measurements()
+        # Partners are told by what is left over long, if anything is: on short windows a single leaves little of it.
+        telling = {h: e for h, e in single.fits.items() if lost or h != "short"}
+        grounds = grounds_of(problems, telling)
         if vanished(problems["long"], single.fits["long"].theta):
             with suppress(NumericsError):
                 grounds.insert(0, _from_own_values(problems["long"], single))
         goals = {h: _worth_a_pair(base, single, fits[0], h) for h in single.fits}
+        promised = 0.0 if lost else PROMISES
         explaining: list[Group] = []
-        for group in screened(grounds, rest, REFITS, 1, 0.5 * PROMISES):
+        for group in screened(grounds, rest, REFITS, 1, 0.5 * promised):
             # Beyond the first, only what looks like one that explains all is asked: it may be the same.
             further = group.rank >= most and not any(group.is_twin(g) for g in explaining)
-            if further or group.shares.max() < PROMISES:
+            if further or group.shares.max() < promised:
                 continue
             near = limit if any(noise_like(base, f) for f in found) else np.inf
             pair = _pair(base, problems["long"], single, group, near, goals, fits, scales)
