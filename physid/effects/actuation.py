@@ -175,8 +175,9 @@ class ActuatorLag(Effect):
         )
 
     def start(self, trial: Trial, amplitudes: np.ndarray, scales: Scales) -> dict[str, float]:
-        size = trial.columns[0]["time_constant"]
-        return {"time_constant": size * float(np.clip(amplitudes[0], 0.2, 3.0))}
+        size = trial.columns[0]["time_constant"] * float(np.clip(amplitudes[0], 0.2, 3.0))
+        # Where it is no lag (see above) nothing moves a fit.
+        return {"time_constant": max(size, 0.6 * scales.dt)}
 
 
 class InputOffset(Effect):

@@ -54,6 +54,8 @@ FARTHEST_OVER = 3.0
 """Length of a run, in windows, that hands its state over."""
 POLISH = 5
 """Those steps, at most."""
+ROUGHLY, FAR_OFF = 1e-3, 100.0
+"""Tolerance of a fit in pieces, and mean squares over the noise's beyond which it is not followed further."""
 Progress = Callable[[str, float], None]
 Spans = Callable[[int], Sequence[Span]]
 
@@ -368,11 +370,23 @@ def _fit_pieces(
 ) -> Estimate:
     """Fit pieces of records that run away, their initial states alone first.
 
-    Alone each is followed from its beginning on, and none holds up another.
+    Alone each is followed from its beginning on, and none holds up another.  A model that stays far off
+    creeps along valleys that lead nowhere: only one that comes near noise is followed to its end.
     """
     alone = states_only(replace(problem, model=problem.at(theta)), states)
+    first = minimise(
+        problem, theta, alone.states, iterations=WHOLE, tolerance=ROUGHLY, keep=True, apart=True
+    )
+    if first.squares > FAR_OFF * problem.measurements():
+        return first
     return minimise(
-        problem, theta, alone.states, iterations=WHOLE, tolerance=tolerance, keep=True, apart=True
+        problem,
+        first.theta,
+        first.states,
+        iterations=WHOLE,
+        tolerance=tolerance,
+        keep=True,
+        apart=True,
     )
 
 

@@ -3,7 +3,7 @@
 The parts of a constant-mass rig (:class:`~physid.plant.parts.Parts`) are affine in most parameters:
 stiffnesses, dampings, frictions, masses, armatures, and the coefficients of most effects.  Whether
 they are is found out, not assumed: the model is compiled at one point and at one step of each
-parameter; a further point must agree to rounding, or every plant is compiled as before.
+parameter; two further points, one of them far off, must agree to rounding, or every plant is compiled as before.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ from physid.plant.parts import Parts, read_parts
 
 STEP = 0.125
 """Relative step of the probing; exact in binary, and as large as keeps the bounds."""
+FAR = 32.0
+"""Times the values at which the affine parts must still be right."""
 EXACTLY = 1e-11
 """Largest difference between the affine parts and those of the compiled model, relative."""
 ENGINE_ONLY = ("law_constants",)
@@ -126,12 +128,22 @@ def family_of(
     family = Family(
         model=model, names=names, reference=reference, parts=parts, at=at, base=base, slopes=slopes
     )
-    check = probe.read(at + shares * moves)
-    if check is None or not _same_shape(check[1], parts):
-        return None
-    size = np.abs(base) + np.abs(slopes) @ np.abs(moves)
-    told = base + slopes @ (shares * moves)
-    return family if np.all(np.abs(told - check[2]) <= EXACTLY * size + 1e-300) else None
+    # A number that is cut off somewhere does not move nearby, and must not be taken for one that never does.
+    for change in (shares * moves, _far(parameters, at) - at):
+        check = probe.read(at + change)
+        if check is None or not _same_shape(check[1], parts):
+            return None
+        size = np.abs(base) + np.abs(slopes) @ np.abs(change)
+        if not np.all(np.abs(base + slopes @ change - check[2]) <= EXACTLY * size + 1e-300):
+            return None
+    return family
+
+
+def _far(parameters: Sequence[Parameter], at: np.ndarray) -> np.ndarray:
+    """Return parameter values (p,) several times as large, within their bounds."""
+    return np.array(
+        [np.clip(FAR * t, p.lower, p.upper) for p, t in zip(parameters, at, strict=True)]
+    )
 
 
 def _move(parameter: Parameter, value: float) -> float:

@@ -76,3 +76,11 @@ def test_a_mass_that_is_none_leaves_nothing_finite():
     assert np.isfinite(assemble(parts).linear).all()
     parts.mass[:] = 0.0
     assert not np.isfinite(assemble(parts).linear).any()
+
+
+def test_a_number_that_is_cut_off_nearby_is_not_taken_for_one_that_never_moves():
+    model, _ = add_effects(rig_for("actuator_lag"), [f"actuator_lag@{EFFECTS['actuator_lag']}"])
+    parameters, at = parameters_of(model, model.effect_parameters())
+    assert family_of(model, parameters, at, 1e-3) is not None
+    # Below half a step it is no lag, whatever it is.
+    assert family_of(model, parameters, np.array([1e-4]), 1e-3) is None
