@@ -35,12 +35,12 @@ from physid.criticism.diagnosis import (
     with_effects,
 )
 from physid.criticism.freeing import diagnosed_freely, with_freed
-from physid.criticism.leads import read_leads, silence_notes
+from physid.criticism.leads import Lead, read_leads, silence_notes
 from physid.criticism.localisation import where
 from physid.criticism.merit import LEAST_GAIN
 from physid.criticism.pictures import diagnosis_curves, tested_curves
 from physid.criticism.refit import start_of, with_candidate
-from physid.criticism.steps import Step, Unsure, simulated_on, step_of, told_apart
+from physid.criticism.steps import Step, Unsure, needed_of, simulated_on, step_of, told_apart
 from physid.effects.catalogue import load_model_text
 from physid.errors import DivergedError, NumericsError
 from physid.identification.accuracy import SHARE, for_engine, with_substeps
@@ -98,27 +98,32 @@ def refine(
     study = prepare(loaded, records, settings)
     study = replace(study, notes=(*study.notes, *silence_notes(evidence)))
     settings.report("fitting the model as it stands", 0.25)
-    steps = [step_of(study, tests, (), None)]
+    return _rounds(study, tests, leads, step_of(study, tests, (), None), anew=True)
+
+
+def _rounds(
+    begun: Study, tests: Sequence[Any], leads: Sequence[Lead], base: Step, *, anew: bool
+) -> Refinement:
+    """Diagnose and add until nothing is found; once more from what is needed of it, if not all is."""
+    study, steps = begun, [base]
     first: Diagnosis | None = None
     remaining = "unexplained"
     known: Mapping[str, Estimate] | None = None
     unsure: list[Unsure] = []
-    begun = study
     for round_number in range(MOST_ROUNDS):
         width = 0.6 / MOST_ROUNDS
         begin = 0.3 + round_number * width
         try:
-            seen, found = diagnosed_freely(
+            begun, study, steps[-1], found = _looked_at(
+                begun,
                 study,
+                tests,
+                steps[-1],
                 span=(begin, begin + width),
                 beside=first is not None,
                 leads=leads,
                 known=known,
             )
-            if seen is not study:
-                begun = with_freed(begun, seen.problem.parameters[len(study.problem.parameters) :])
-                study = seen
-                steps[-1] = step_of(study, tests, steps[-1].added, steps[-1].p_value)
         except NumericsError:
             if first is None:
                 raise
@@ -133,6 +138,10 @@ def refine(
         added = _added_one_by_one(study, tests, found, steps[-1])
         kept = _earning_their_place(steps[-1], added)
         steps += added[:kept]
+        needed = needed_of(begun, steps) if kept and anew else None
+        if needed is not None:
+            more = [Lead(placed=p, source="an earlier look") for p in needed]
+            return _rounds(begun, tests, (*leads, *more), steps[0], anew=False)
         other = told_apart(begun, tests, steps, unsure) if kept else None
         if other is not None:
             steps, first = other.steps, other.first(study, first)
@@ -147,8 +156,19 @@ def refine(
     assert first is not None
     if remaining == "nothing_missing" and not _holds_on_whole_records(steps[-1].fitted, found):
         remaining = "unexplained"
-    settings.report("writing the refined model", 0.95)
+    study.options.report("writing the refined model", 0.95)
     return _refinement(study, tests, steps, first, remaining)
+
+
+def _looked_at(
+    begun: Study, study: Study, tests: Sequence[Any], last: Step, **how: Any
+) -> tuple[Study, Study, Step, Diagnosis]:
+    """Diagnose a study; return it, as it began and as it stands, and its last step with what had to be freed."""
+    seen, found = diagnosed_freely(study, **how)
+    if seen is study:
+        return begun, study, last, found
+    more = seen.problem.parameters[len(study.problem.parameters) :]
+    return with_freed(begun, more), seen, step_of(seen, tests, last.added, last.p_value), found
 
 
 def _from_here(study: Study, fitted: Fitted) -> Study:

@@ -18,6 +18,7 @@ from physid.identification.beginnings import with_likely_beginnings
 from physid.identification.estimate import Estimate
 from physid.identification.fitting import Fitted, fit_study
 from physid.identification.freedom import identifiable_beside
+from physid.identification.output_error import minimise
 from physid.identification.problem import Problem
 from physid.identification.staged import quick, states_only
 from physid.identification.study import Study
@@ -133,6 +134,34 @@ def told_apart(
                 again = _exchanged(begun, tests, steps, one.step, rival, least)
                 if again is not None:
                     return ToldApart(again, one, k)
+    return None
+
+
+def needed_of(begun: Study, steps: Sequence[Step]) -> list[Placed] | None:
+    """Return the added effects without one that whole records no longer need; None where all are needed.
+
+    What was named while another was missing may only have stood for it: the same law at a wrong place.
+    """
+    last = steps[-1].fitted
+    if not quick(last.problem):
+        return None
+    for own in (p for s in steps[1:-1] for p in s.added):
+        rest = [p for s in steps[1:] for p in _as_fitted(last, s.added) if not p.same_site(own)]
+        fewer = with_candidate(begun.problem, rest)
+        known = set(fewer.model.effect_parameters())
+        trial = replace(
+            last.problem,
+            model=fewer.model,
+            parameters=tuple(
+                p for p in last.problem.parameters if "@" not in p.name or p.name in known
+            ),
+        )
+        theta = start_of(last.problem, last.estimate.theta, trial)
+        states = None if own.effect.memory else last.estimate.states
+        goal = last.estimate.chi2 + LEAST_GAIN
+        with suppress(NumericsError):
+            if minimise(trial, theta, states, iterations=12, goal=goal).chi2 < goal:
+                return rest
     return None
 
 
