@@ -10,9 +10,11 @@ import pytest
 
 import physid
 from physid.cli import main
-from physid.criticism import diagnosis, freeing, refinement, steps
+from physid.criticism import diagnosis, freeing, refinement, refit, steps
+from physid.effects.catalogue import effect_named
 from physid.errors import DivergedError
 from physid.identification.study import Options, prepare
+from physid.plant.effect import Placed
 from physid.record import write_record
 
 
@@ -208,6 +210,23 @@ def test_an_effect_gives_way_to_one_it_could_not_be_told_from_that_leaves_less(s
     # The right one gives way to none.
     again = steps.Unsure(step=1, found=diagnosis.led_by(study, unsure, 1))
     assert steps.told_apart(study, [], told.steps, [again]) is None
+
+
+def test_what_a_later_effect_makes_needless_is_taken_out(study, found):
+    right = next(c for c in found.candidates if site_of(c) == "coulomb_friction").refit.fitted
+    load = effect_named("constant_load")
+    wrong = (Placed(load, right[0].place, {"force": 0.01}),)
+
+    def step(*added):
+        problem = refit.with_candidate(study.problem, [p for s in added for p in s])
+        theta = np.array([p.value for p in problem.parameters])
+        with_them = replace(study, problem=problem, theta=theta, states=None)
+        return steps.step_of(with_them, [], added[-1] if added else (), None)
+
+    [needed] = steps.needed_of(study, [step(), step(wrong), step(wrong, right)])
+    assert needed.effect.name == "coulomb_friction"
+    assert needed.values["force"] == pytest.approx(0.3, rel=0.1)
+    assert steps.needed_of(study, [step(), step(right), step(right, wrong)]) is None
 
 
 def test_a_parameter_that_was_left_wrong_is_freed_and_not_named_as_missing(slider, make_run):

@@ -186,6 +186,7 @@ def test_beside_what_remembers_a_pair_is_tried_where_one_of_it_does_nearly_all(m
     )
     friction, stribeck = refit_of("coulomb_friction"), refit_of("stribeck_friction")
     shares = {}
+    monkeypatch.setattr(pairs, "_half_named", lambda base, best: False)
     monkeypatch.setattr(pairs, "noise_like", lambda base, fit: True)
     monkeypatch.setattr(pairs, "explained", lambda base, fit: shares.get(id(fit), 1.0))
     assert pairs.wanting_partners(None, [mode, damper]) == []
@@ -197,6 +198,26 @@ def test_beside_what_remembers_a_pair_is_tried_where_one_of_it_does_nearly_all(m
     monkeypatch.setattr(pairs, "noise_like", lambda base, fit: False)
     assert pairs.wanting_partners(None, [mode, damper]) == [damper]
     assert pairs.wanting_partners(None, [stribeck, friction]) == [friction]
+
+
+def test_what_leaves_half_of_a_small_excess_wants_a_partner(monkeypatch):
+    size = 5000
+    base = SimpleNamespace(problems={"long": SimpleNamespace(measurements=lambda: size)})
+
+    def single(name, left):
+        found = refit_of(name)
+        found.fits = {"long": SimpleNamespace(squares=left * size)}
+        return found
+
+    best, other = single("coulomb_friction", 1.15), single("cogging", 1.16)
+    monkeypatch.setattr(pairs, "noise_like", lambda base, fit: True)
+    monkeypatch.setattr(pairs, "explained", lambda base, fit: 0.55)
+    assert pairs.wanting_partners(base, [best, other]) == [best, other]
+    # What is left may be the spread of noise, or next to nothing of what was there.
+    quiet = single("coulomb_friction", 1.05)
+    assert pairs.wanting_partners(base, [quiet, other]) == []
+    monkeypatch.setattr(pairs, "explained", lambda base, fit: 0.9)
+    assert pairs.wanting_partners(base, [best, other]) == []
 
 
 def test_states_start_from_what_is_measured_where_the_base_is_far_from_the_record(rubbing):
