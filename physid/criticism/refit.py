@@ -527,7 +527,9 @@ def with_block(base: Base, fit: Refit, goal: float = np.inf) -> Refit:
         if tried[-1].chi2 < 0.5 * base.fits["block"].chi2:
             break
     if not tried:
-        no_better = replace(base.fits["block"], theta=fit.fits["long"].theta)
+        theta, known = fit.fits["long"].theta, base.fits["block"]
+        # What it remembers beside the base has states too, for whoever looks at it there.
+        no_better = replace(known, theta=theta, states=problem.completed(theta, known.states))
         return replace(fit, fits={**fit.fits, "block": no_better})
     fits = {**fit.fits, "block": min(tried, key=lambda e: e.chi2)}
     return replace(fit, fits=_none_stuck(base, fit.problem, fits))
