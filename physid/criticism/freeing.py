@@ -74,7 +74,7 @@ def _wrong_ones(study: Study, found: Diagnosis) -> list[Parameter]:
 
     At values that are fitted more of them shows than when they were chosen.
     """
-    if study.options.fit != "auto" or found.verdict == "nothing_missing":
+    if study.options.fit != "auto":
         return []
     longest = "block" if "block" in found.base.fits else "long"
     problem, base = found.base.problems[longest], found.base.fits[longest]

@@ -40,7 +40,15 @@ from physid.criticism.localisation import where
 from physid.criticism.merit import LEAST_GAIN
 from physid.criticism.pictures import diagnosis_curves, tested_curves
 from physid.criticism.refit import start_of, with_candidate
-from physid.criticism.steps import Step, Unsure, needed_of, simulated_on, step_of, told_apart
+from physid.criticism.steps import (
+    Step,
+    Unsure,
+    in_other_kinds,
+    needed_of,
+    simulated_on,
+    step_of,
+    told_apart,
+)
 from physid.effects.catalogue import load_model_text
 from physid.errors import DivergedError, NumericsError
 from physid.identification.accuracy import SHARE, for_engine, with_substeps
@@ -156,6 +164,7 @@ def _rounds(
     assert first is not None
     if remaining == "nothing_missing" and not _holds_on_whole_records(steps[-1].fitted, found):
         remaining = "unexplained"
+    steps = in_other_kinds(begun, tests, steps)
     study.options.report("writing the refined model", 0.95)
     return _refinement(study, tests, steps, first, remaining)
 

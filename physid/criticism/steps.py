@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from physid.criticism.base import NOISE_LIKE
+from physid.criticism.base import NOISE_ALONE, NOISE_LIKE
 from physid.criticism.diagnosis import Candidate, Diagnosis, led_by
 from physid.criticism.merit import LEAST_GAIN
 from physid.criticism.refit import start_of, with_candidate
@@ -20,6 +20,7 @@ from physid.identification.fitting import Fitted, fit_study
 from physid.identification.freedom import identifiable_beside
 from physid.identification.output_error import minimise
 from physid.identification.problem import Problem
+from physid.identification.sizes import scales_of
 from physid.identification.staged import quick, states_only
 from physid.identification.study import Study
 from physid.identification.windows import whole
@@ -135,6 +136,32 @@ def told_apart(
                 if again is not None:
                     return ToldApart(again, one, k)
     return None
+
+
+def in_other_kinds(begun: Study, tests: Sequence[Any], steps: Sequence[Step]) -> list[Step]:
+    """Return the steps, the last one with effects of another kind where whole records are explained better so.
+
+    What is chosen and not fitted, as how sharply a hysteresis yields, was chosen on windows and beside what
+    was wrong then.
+    """
+    last = steps[-1]
+    chosen = any(c.fixed for s in steps for p in s.added for c in p.effect.coefficients)
+    noise = NOISE_ALONE * last.fitted.problem.measurements()
+    if not chosen or last.fitted.estimate.squares < noise or not quick(last.fitted.problem):
+        return list(steps)
+    sizes = scales_of(last.fitted.problem, last.fitted.estimate)
+    effects = [p for s in steps[1:] for p in _as_fitted(last.fitted, s.added)]
+    for k, placed in enumerate(effects):
+        for values in placed.effect.beside(placed.values, sizes[placed.place]):
+            others = [*effects[:k], placed.with_values(values), *effects[k + 1 :]]
+            with suppress(NumericsError):
+                other = _with_added(
+                    begun, tests, last.fitted, others, len(last.added), last.p_value
+                )
+                least = last.fitted.estimate.squares - LEAST_GAIN
+                if other.fitted.estimate.squares < least:
+                    return in_other_kinds(begun, tests, [*steps[:-1], other])
+    return list(steps)
 
 
 def needed_of(begun: Study, steps: Sequence[Step]) -> list[Placed] | None:

@@ -229,6 +229,25 @@ def test_what_a_later_effect_makes_needless_is_taken_out(study, found):
     assert steps.needed_of(study, [step(), step(right), step(right, wrong)]) is None
 
 
+def test_a_kind_that_was_chosen_wrong_is_chosen_again_on_whole_records(slider, make_run):
+    run = make_run("hysteresis@rail:force=0.8,displacement=0.05,exponent=5", seed=4, noise=0.001)
+    study = prepare(slider, [run], Options(fit=["rail.damping"]))
+    place = study.model.structure.find("rail", ("joint",))
+    placed = Placed(
+        effect_named("hysteresis"), place, {"force": 0.8, "displacement": 0.05, "exponent": 1.0}
+    )
+    problem = refit.with_candidate(study.problem, [placed])
+    theta = np.array([p.value for p in problem.parameters])
+    wrong = steps.step_of(replace(study, problem=problem, theta=theta), [], (placed,), 0.0)
+    begun = steps.step_of(study, [], (), None)
+    *_, right = steps.in_other_kinds(study, [], [begun, wrong])
+    assert right.fitted.estimate.squares < 0.9 * wrong.fitted.estimate.squares
+    [found] = right.fitted.model.effects
+    assert found.values["exponent"] == 5.0
+    assert found.values["force"] == pytest.approx(0.8, rel=0.05)
+    assert steps.in_other_kinds(study, [], [begun, right])[-1] is right
+
+
 def test_a_parameter_that_was_left_wrong_is_freed_and_not_named_as_missing(slider, make_run):
     study = prepare(slider, [make_run(seed=3)], Options(fit="auto"))
     names = [p.name for p in study.problem.parameters]
