@@ -12,6 +12,7 @@ from physid.criticism.base import NOISE_ALONE, Base
 from physid.criticism.grounds import Group, grounds_of, screened
 from physid.criticism.merit import explained, halves, noise_like, scores, sorted_by_score
 from physid.criticism.refit import Refit, Start, refit, start_of, with_block, with_candidate
+from physid.criticism.rivals import RIVALLING
 from physid.errors import NumericsError
 from physid.identification.estimate import Estimate
 from physid.identification.problem import Problem
@@ -26,13 +27,11 @@ PARTNERS = 3
 """Best single effects that get a partner, and partners tried from each screening."""
 PROMISES = 0.4
 """Share of what a single leaves beyond noise, on some ground, that a partner must promise to gain.  Right
-ones promised 0.75 to 0.99 over a score of rigs: beside what is right, what is missing is nearly all that is left."""
+ones promised 0.75 to 0.99 in fifteen pairs of fifteen: beside what is right, the missing is most of what is left."""
 LOST = 1e3
 """Mean squares over the noise's that a single leaves from which nothing looks like itself, and no promise tells."""
 LIKE = 0.8
 """Share of an effect's gain alone that another must have to be exchanged for it in a pair."""
-EQUAL = 1.1
-"""Squares over those of a pair that an exchange must be on its way to."""
 HALF_NAMED, CERTAINLY = 0.8, 6.0
 """Share of the excess explained below which a best single wants a partner though little is left, and standard
 deviations of noise's squares by which that must be more than noise."""
@@ -253,7 +252,7 @@ def _exchanged_for(
     theta = start_of(pair.problem, pair.fits["long"].theta, inner)
     starts = [Start(placed, theta)]
     # What ends clearly above it is not exchanged for it.
-    goal = EQUAL * pair.fits["long"].squares
+    goal = RIVALLING * pair.fits["long"].squares
     return refit(base, inner, starts, scales, rank=pair.rank, already=(partner,), goal=goal)
 
 

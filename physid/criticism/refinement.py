@@ -43,11 +43,11 @@ from physid.criticism.refit import start_of, with_candidate
 from physid.criticism.steps import (
     Step,
     Unsure,
-    in_other_kinds,
     needed_of,
     simulated_on,
     step_of,
     told_apart,
+    with_kinds_chosen_again,
 )
 from physid.effects.catalogue import load_model_text
 from physid.errors import DivergedError, NumericsError
@@ -164,7 +164,7 @@ def _rounds(
     assert first is not None
     if remaining == "nothing_missing" and not _holds_on_whole_records(steps[-1].fitted, found):
         remaining = "unexplained"
-    steps = in_other_kinds(begun, tests, steps)
+    steps = with_kinds_chosen_again(begun, tests, steps)
     study.options.report("writing the refined model", 0.95)
     return _refinement(study, tests, steps, first, remaining)
 
@@ -341,7 +341,12 @@ def _refinement(
 def _notes_so_far(study: Study, steps: Sequence[Step]) -> list[str]:
     """Return the study's notes, how records begin for what was added, and what is free now that was not at first."""
     before, now = ({p.name for p in s.fitted.problem.parameters} for s in (steps[0], steps[-1]))
-    freed = sorted(name for name in now - before if "@" not in name)
+    told = [n for n in study.notes if " is freed: " in n]
+    freed = sorted(
+        name
+        for name in now - before
+        if "@" not in name and not any(n.startswith(f"{name} is freed") for n in told)
+    )
     begun = [n for n in beginning_notes(steps[-1].fitted.problem) if n not in study.notes]
     kept = [
         n

@@ -138,7 +138,9 @@ def told_apart(
     return None
 
 
-def in_other_kinds(begun: Study, tests: Sequence[Any], steps: Sequence[Step]) -> list[Step]:
+def with_kinds_chosen_again(
+    begun: Study, tests: Sequence[Any], steps: Sequence[Step]
+) -> list[Step]:
     """Return the steps, the last one with effects of another kind where whole records are explained better so.
 
     What is chosen and not fitted, as how sharply a hysteresis yields, was chosen on windows and beside what
@@ -160,7 +162,7 @@ def in_other_kinds(begun: Study, tests: Sequence[Any], steps: Sequence[Step]) ->
                 )
                 least = last.fitted.estimate.squares - LEAST_GAIN
                 if other.fitted.estimate.squares < least:
-                    return in_other_kinds(begun, tests, [*steps[:-1], other])
+                    return with_kinds_chosen_again(begun, tests, [*steps[:-1], other])
     return list(steps)
 
 

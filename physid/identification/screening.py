@@ -214,6 +214,8 @@ def sketch(
         trials = effect.trials(ground.scales[place])
         # What happens at an instant may happen on none of the beginnings.
         unseen = not spread and any(c.instant for c in effect.coefficients)
+        # One candidate by itself is told from no other; only its shapes may be.
+        unseen = unseen or (len(candidates) == 1 and len(trials) < MANY)
         scored = [] if unseen else sorted(_scores(part, effect, place, trials), key=lambda s: -s[0])
         gain = scored[0][0] if scored else np.inf
         if scored and len(trials) >= MANY:

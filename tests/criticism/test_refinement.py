@@ -240,12 +240,12 @@ def test_a_kind_that_was_chosen_wrong_is_chosen_again_on_whole_records(slider, m
     theta = np.array([p.value for p in problem.parameters])
     wrong = steps.step_of(replace(study, problem=problem, theta=theta), [], (placed,), 0.0)
     begun = steps.step_of(study, [], (), None)
-    *_, right = steps.in_other_kinds(study, [], [begun, wrong])
+    *_, right = steps.with_kinds_chosen_again(study, [], [begun, wrong])
     assert right.fitted.estimate.squares < 0.9 * wrong.fitted.estimate.squares
     [found] = right.fitted.model.effects
     assert found.values["exponent"] == 5.0
     assert found.values["force"] == pytest.approx(0.8, rel=0.05)
-    assert steps.in_other_kinds(study, [], [begun, right])[-1] is right
+    assert steps.with_kinds_chosen_again(study, [], [begun, right])[-1] is right
 
 
 def test_a_parameter_that_was_left_wrong_is_freed_and_not_named_as_missing(slider, make_run):
