@@ -92,7 +92,7 @@ def mark(trial: Trial, refinement: Json, floor: Mapping[str, float]) -> Line:
         three = first or among_first(refinement, truth[0])
     line |= {"strict": right, "first": first, "three": three}
     line["false"] = _false(refinement, added, truth if trial.kind in ("one", "two") else [], first)
-    line["covered"] = _covered(trial, refinement) if right and truth else {}
+    line["covered"], line["sizes"] = _covered(trial, refinement) if right and truth else ({}, {})
     line["reason"] = "" if first else _reason(trial, line)
     return line
 
@@ -119,10 +119,13 @@ def _both(refinement: Json, added: Sequence[str], truth: Sequence[str]) -> bool:
     return set(truth) <= set(added) or any(set(truth) <= {*group, *later} for group in groups)
 
 
-def _covered(trial: Trial, refinement: Json) -> dict[str, bool]:
-    """Say for every fitted coefficient of the hidden effects whether its interval covers the truth."""
+def _covered(trial: Trial, refinement: Json) -> tuple[dict[str, bool], dict[str, list[float]]]:
+    """Say of every fitted coefficient of what is hidden whether its interval covers the truth.
+
+    Beside that: its value, its standard error and the truth.
+    """
     truth = {f"{h.site}.{name}": v for h in trial.hidden for name, v in h.parameters.items()}
-    found = {}
+    found, sizes = {}, {}
     for row in refinement["parameters"]:
         effect, _, rest = row["name"].partition("@")
         name = f"{effect}@{rest.rpartition(':')[2]}"
@@ -130,7 +133,8 @@ def _covered(trial: Trial, refinement: Json) -> dict[str, bool]:
             hit = covers(row, truth[name])
             if hit is not None:
                 found[name] = hit
-    return found
+                sizes[name] = [row["value"], row["std_error"], truth[name]]
+    return found, sizes
 
 
 def _reason(trial: Trial, line: Line) -> str:
