@@ -236,8 +236,10 @@ def rates_of(
     """
     rates = np.empty((len(states), 1, len(network.linear)))
     initial, u = np.ascontiguousarray(states), np.ascontiguousarray(inputs)
-    rows = np.arange(len(states), dtype=np.int64)
-    integrate(network, exact, initial, u, rows, 1, 1, 1e-6, np.empty_like(initial)[:, None], rates)
+    starts = np.column_stack([np.arange(len(states)), np.zeros(len(states))])
+    integrate(
+        network, exact, initial, u, starts, 1, 1, 1e-6, np.empty_like(initial)[:, None], rates
+    )
     return np.asarray(rates[:, 0])
 
 

@@ -20,6 +20,7 @@ def simulate_engine(
     initial: Sequence[np.ndarray],
     controls: Sequence[np.ndarray],
     starts: np.ndarray,
+    times: Sequence[np.ndarray],
     samples: int,
     substeps: int,
     threads: int = 1,
@@ -36,6 +37,8 @@ def simulate_engine(
         Input of every substep, per plant.
     starts : ndarray (w,)
         First sample of each window.
+    times : sequence of ndarray (w,)
+        When each window begins [s], per plant.
     samples, substeps : int
         Samples per window; engine steps per sample.
     threads : int
@@ -52,8 +55,8 @@ def simulate_engine(
     data = [mujoco.MjData(models[0]) for _ in range(threads)]
     begin = np.concatenate(
         [
-            _full_states(plant, x, starts, substeps, data[0])
-            for plant, x in zip(plants, initial, strict=True)
+            _full_states(plant, x, t, data[0])
+            for plant, x, t in zip(plants, initial, times, strict=True)
         ]
     )
     command = np.concatenate([_slices(u, starts, steps, substeps) for u in controls])
@@ -69,9 +72,9 @@ def simulate_engine(
     states = np.concatenate(
         [begin[:, None, 1 : 1 + size], state[:, substeps - 1 : -1 : substeps, 1 : 1 + size]], axis=1
     )
-    times = np.concatenate([begin[:, None, 0], state[:, substeps - 1 : -1 : substeps, 0]], axis=1)
+    clock = np.concatenate([begin[:, None, 0], state[:, substeps - 1 : -1 : substeps, 0]], axis=1)
     outputs = sensors[:, ::substeps].copy()
-    _blank_diverged(times, states, outputs)
+    _blank_diverged(clock, states, outputs)
     return [
         (outputs[k * windows : (k + 1) * windows], states[k * windows : (k + 1) * windows])
         for k in range(len(plants))
@@ -93,13 +96,13 @@ def without_warnings() -> Iterator[None]:
 
 
 def _full_states(
-    plant: Plant, initial: np.ndarray, starts: np.ndarray, substeps: int, data: mujoco.MjData
+    plant: Plant, initial: np.ndarray, times: np.ndarray, data: mujoco.MjData
 ) -> np.ndarray:
     model = plant.model
-    full = np.empty((len(starts), mujoco.mj_stateSize(model, STATE)))
+    full = np.empty((len(times), mujoco.mj_stateSize(model, STATE)))
     mujoco.mj_resetData(model, data)
     for w, x in enumerate(initial):
-        data.time = starts[w] * substeps * model.opt.timestep
+        data.time = times[w]
         data.qpos[:] = x[: model.nq]
         data.qvel[:] = x[model.nq : model.nq + model.nv]
         if model.na:

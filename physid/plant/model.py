@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -67,9 +68,17 @@ class Plant:
     network: Any = None
     source: tuple[Model, Mapping[str, float]] | None = None
 
+    def in_steps_of(self, step: float) -> Plant:
+        """Return the plant with another step [s] of the engine."""
+        if step == self.model.opt.timestep:
+            return self
+        model = copy(self.model)
+        model.opt.timestep = step
+        return replace(self, model=model)
+
     @property
     def latest(self) -> float:
-        """By how much the latest sensor is late [s]: the engine's clock is behind the record's by it."""
+        """By how much the latest sensor is late [s]: runs begin as much before their records."""
         return max((p.effect.lateness(p.values) for _, p, _ in self.instruments), default=0.0)
 
     def compiled(self) -> Plant:

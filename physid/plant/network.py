@@ -116,7 +116,7 @@ def _integrate_linear(  # type: ignore[no-untyped-def]
             if wild:
                 states[w, k:] = np.nan
                 break
-            first = min((starts[w] + k) * substeps, last)
+            first = min(int(starts[w, 0]) + k * substeps, last)
             held = _is_held(controls, first, substeps)
             for s in range(1 if held else substeps):
                 row = min(first + s, last)
@@ -163,8 +163,8 @@ def integrate(  # type: ignore[no-untyped-def]
         State at the start of each window.
     controls : (steps, nu)
         Input of every substep of the record, held over the substep as the engine does.
-    starts : (w,)
-        First sample of each window.
+    starts : (w, 2)
+        Where each window begins: the row of its first input, and the time [s].
     samples, substeps : int
         Samples per window; steps per sample.
     h : float
@@ -314,6 +314,7 @@ def _integrate_elements(  # type: ignore[no-untyped-def]  # noqa: C901 - one cal
     sides, met, rides = of_laws[0], of_laws[1], of_laws[2]
     mass, inverse, bias = square[:nv], square[nv : 2 * nv], square[2 * nv]
     for w in range(initial.shape[0]):
+        first_row = int(starts[w, 0])
         for i in range(n):
             x[i] = initial[w, i]
         rub[:] = 0.0
@@ -325,12 +326,12 @@ def _integrate_elements(  # type: ignore[no-untyped-def]  # noqa: C901 - one cal
                 v += friction_rows[e, j] * x[nv + j]
             slides[e] = np.sign(v)
         for e in range(laws):
-            z = edge_times[e] * starts[w] * substeps * h
+            z = edge_times[e] * starts[w, 1]
             for j in range(n + 1):
                 z += edge_rows[e, j] * given[j]
             sides[e] = 1.0 if z > law_edges[e, 1] else (-1.0 if z < law_edges[e, 0] else 0.0)
         for k in range(samples):
-            step = (starts[w] + k) * substeps
+            step = k * substeps
             wild = False
             for i in range(n):
                 states[w, k, i] = x[i]
@@ -345,10 +346,10 @@ def _integrate_elements(  # type: ignore[no-untyped-def]  # noqa: C901 - one cal
             if last and not wanted:
                 break
             for s in range(1 if last else substeps):
-                row = min(step + s, controls.shape[0] - 1)
+                row = min(first_row + step + s, controls.shape[0] - 1)
                 for j in range(nu):
                     u[j] = min(max(controls[row, j], limits[j, 0]), limits[j, 1])
-                t = (step + s) * h
+                t = starts[w, 1] + (step + s) * h
                 left = h
                 dt = h
                 events = 0

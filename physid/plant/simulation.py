@@ -6,7 +6,6 @@ reference for every model and confirms every final result.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -19,7 +18,7 @@ from physid.plant.assembly import agrees, network_of
 from physid.plant.callback import run_time_laws
 from physid.plant.compiling import kept
 from physid.plant.engine import simulate_engine
-from physid.plant.measuring import BETWEEN, Rollout, measured
+from physid.plant.measuring import BETWEEN, Rollout, behind_by, read_at_samples
 from physid.plant.model import Model, Plant
 from physid.plant.network import Network, integrate
 from physid.plant.structure import Structure
@@ -120,7 +119,8 @@ class Simulator:
     def controls(self, plants: Sequence[Plant], inputs: np.ndarray) -> list[np.ndarray]:
         """Turn a record's inputs (n, nu) into the input of every substep (n * substeps, nu), per plant.
 
-        Plants that neither delay nor condition an input share one array.
+        Plants that neither delay nor condition an input share one array.  Where a sensor is late runs begin before
+        the record, and there are as many rows more, for whole samples.
         """
         held = np.ascontiguousarray(between_samples(inputs, self.substeps, self.hold))
         once = {id(plant): plant for plant in plants}
@@ -128,15 +128,16 @@ class Simulator:
         return [found[id(plant)] for plant in plants]
 
     def _acting(self, plant: Plant, held: np.ndarray) -> np.ndarray:
-        delays = plant.delays + plant.latest
+        before = behind_by(plant, self.dt) * self.substeps
+        delays = plant.delays / self.step + before
         late = np.flatnonzero(delays).tolist()
         if not plant.conditioners and not late:
             return held
-        fine = held.copy()
+        fine = np.pad(held, ((0, before), (0, 0)), mode="edge")
         for k, placed in plant.conditioners:
             fine[:, k] = placed.effect.condition(fine[:, k], placed.values)
         for k in late:
-            fine[:, k] = delayed(fine[:, k], delays[k] / self.step, self.before)
+            fine[:, k] = delayed(fine[:, k], delays[k], self.before)
         return fine
 
     def run(
@@ -167,47 +168,87 @@ class Simulator:
         list of Rollout
             One per plant; NaN after a divergence.
         """
-        latest = max(plant.latest for plant in plants)
-        more = math.ceil(latest / self.dt) + BETWEEN if latest > 0 else 0
-        runs = self._run(plants, initial, controls, starts, samples + more)
+        for by_network in (True, False) if self.compiled else (False,):
+            runs = self._begun_early(plants, initial, controls, starts, samples, by_network)
+            if runs is not None:
+                break
+        assert runs is not None  # MuJoCo runs everything
         return [
-            measured(plant, run, self.dt, samples) for plant, run in zip(plants, runs, strict=True)
+            read_at_samples(plant, run, x, self.sensor_map, self.dt, samples)
+            for plant, run, x in zip(plants, runs, initial, strict=True)
         ]
 
-    def _run(
+    def _begun_early(
         self,
         plants: Sequence[Plant],
         initial: Sequence[np.ndarray],
         controls: Sequence[np.ndarray],
         starts: np.ndarray,
         samples: int,
+        by_network: bool,
+    ) -> list[Rollout] | None:
+        """Simulate with ideal sensors, from before the windows where one is late; None if no network can."""
+        run = self._by_network if by_network else self._by_engine
+        before = [behind_by(plant, self.dt) for plant in plants]
+        times = [starts * self.dt] * len(plants)
+        whole = self.substeps, self.step
+        if not any(before):
+            return run(plants, initial, controls, starts, times, samples, *whole)
+        x, u = list(initial), list(controls)
+        for k, plant in enumerate(plants):
+            if before[k]:
+                # A first sample that is short leads to the instants of the record, at which its inputs jump.
+                short = plant.latest - (before[k] - 1) * self.dt
+                early = [times[k] - plant.latest]
+                steps = self.substeps, short / self.substeps
+                begun = run([plant], [x[k]], [u[k]], starts, early, 2, *steps)
+                if begun is None:
+                    return None
+                x[k], u[k] = begun[0].states[:, 1], u[k][self.substeps :]
+                times[k] = times[k] - (before[k] - 1) * self.dt
+        length = samples + max(before) - 1 + BETWEEN
+        return run(plants, x, u, starts, times, length, *whole)
+
+    def _by_engine(
+        self,
+        plants: Sequence[Plant],
+        initial: Sequence[np.ndarray],
+        controls: Sequence[np.ndarray],
+        starts: np.ndarray,
+        times: Sequence[np.ndarray],
+        samples: int,
+        substeps: int,
+        step: float,
     ) -> list[Rollout]:
-        """Simulate with ideal sensors."""
-        if self.compiled:
-            found = self._run_network(plants, initial, controls, starts, samples)
-            if found is not None:
-                return found
+        """Simulate in MuJoCo; see :meth:`run`, and ``times`` (w,) [s] at which the windows begin."""
         runs = simulate_engine(
-            [plant.compiled() for plant in plants],
+            [plant.compiled().in_steps_of(step) for plant in plants],
             initial,
             controls,
             starts,
+            times,
             samples,
-            self.substeps,
+            substeps,
             self.threads,
         )
         channels = [c.address for c in self.structure.channels]
         return [Rollout(outputs[:, :, channels], states) for outputs, states in runs]
 
-    def _run_network(
+    def _by_network(
         self,
         plants: Sequence[Plant],
         initial: Sequence[np.ndarray],
         controls: Sequence[np.ndarray],
         starts: np.ndarray,
+        times: Sequence[np.ndarray],
         samples: int,
+        substeps: int,
+        step: float,
     ) -> list[Rollout] | None:
-        networks = networks_of(plants, exact=self.exact)
+        """Simulate compiled; see :meth:`_by_engine`.  None where a plant is no network, or leaves where it is one."""
+        # The engine's friction, as its smoothed laws, depends on the step.
+        own = plants if self.exact else [plant.compiled().in_steps_of(step) for plant in plants]
+        networks = networks_of(own, exact=self.exact)
         if networks is None:
             return None
         nv = self.structure.nv
@@ -222,11 +263,11 @@ class Simulator:
                 networks[k],
                 self.exact,
                 np.ascontiguousarray(initial[k]),
-                controls[k],
-                np.asarray(starts, dtype=np.int64),
+                np.ascontiguousarray(controls[k]),
+                np.column_stack([starts * substeps, times[k]]).astype(np.float64),
                 samples,
-                self.substeps,
-                self.step,
+                substeps,
+                step,
                 states[k],
                 rates[k],
             )

@@ -47,7 +47,7 @@ def stepped(network, initial, controls, h):
     def rate(x, u, t):
         # The rates at a first and only sample are those of the state given.
         rates = np.empty((1, 1, len(network.linear)))
-        start = np.array([t], dtype=np.int64)
+        start = np.array([[t, t * h / 2]])
         states = np.empty((1, 1, x.size))
         inputs = np.repeat(u[None], t + 1, axis=0)
         integrate(network, True, x[None].copy(), inputs, start, 1, 1, h / 2, states, rates)
@@ -79,7 +79,7 @@ def test_a_whole_step_is_the_four_stages_one_by_one(name):
     n = 2 * nv + na
     initial = np.concatenate([[0.01, 0.03][:nv], [2.0, 8.0][:nv], 0.1 + 0.1 * np.arange(na)])
     expected = stepped(network, initial, controls, simulator.step)
-    nothing, starts = np.empty((0, 0, 0)), np.zeros(1, dtype=np.int64)
+    nothing, starts = np.empty((0, 0, 0)), np.zeros((1, 2))
     for rates in (nothing, np.empty((1, len(controls), len(network.linear)))):
         states = np.empty((1, len(controls), n))
         integrate(

@@ -18,6 +18,7 @@ from .excitation import excitation
 from .hidden import BANK, KINDS, Kind, Scales, with_effect
 from .integrator import simulate
 from .plants import Array, Plant
+from .readings import BETWEEN
 from .rigs import RIGS, draw_nominal, draw_truth, mjcf, plant, true_parameters
 
 Columns = Mapping[str, Array]
@@ -317,11 +318,15 @@ def _truth(
     equations = with_effect(
         plant(rig, _values(like)[0]), rig, case.effect, case.location, case.parameters
     )
-    position, _ = simulate(equations, inputs, rig.period, *start, substeps=substeps)
     read = KINDS[case.effect].read
+    between = 1 if read is None else BETWEEN
+    position, _ = simulate(
+        equations, inputs, rig.period, *start, substeps=substeps, between=between
+    )
     if read is not None:
         i = rig.sensors.index(case.location)
-        position[:, i] = read(position[:, i], rig.period, case.parameters)
+        position[:, i] = read(position[:, i], rig.period / between, case.parameters)
+        position = position[::between]
     columns: dict[str, Array] = {
         "time": np.arange(samples - lead, dtype=np.float64) * rig.period,
         rig.actuator: inputs[lead:],

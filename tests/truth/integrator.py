@@ -72,10 +72,11 @@ def _run(
     period: float,
     start: Any,
     substeps: int,
+    between: int,
 ) -> Any:
-    """States (N, 2 n + 3) at the sampling instants; ``inputs`` (N, nu) become those that acted."""
+    """States (N between, 2 n + 3) at so many instants a sample; ``inputs`` (N, nu) become those that acted."""
     count, n = inputs.shape[0], joints.shape[0]
-    states = np.empty((count, start.size))
+    states = np.empty((count * between, start.size))
     state, after = start.copy(), np.empty(start.size)
     work, torque, drive = np.empty((5, start.size)), np.empty(n), np.zeros(n + 1)
     modes = np.zeros(4, dtype=np.int64)
@@ -85,18 +86,18 @@ def _run(
     if whole[RUB] >= 0:
         modes[FRICTION] = int(np.sign(along(elements, int(whole[RUB]), state, n, n)))
     enter(joints, elements, whole, state, drive, modes, torque)
-    cuts = np.empty(4)
+    cuts = np.empty(between + 3)
     for k in range(count):
-        states[k] = state
+        states[between * k] = state
         _feed_back(observed, gain, noise[k], state, inputs[k])
         jump = whole[CHANGE_TIME] - k * period if whole[CHANGE] >= 0 else math.inf
-        cuts[:] = period
-        cuts[0] = 0.0
-        cuts[1] = rest
-        if 0.0 < jump < period:
-            cuts[2] = jump
+        for j in range(between + 1):
+            cuts[j] = j * period / between
+        cuts[between + 1] = rest
+        cuts[between + 2] = jump if 0.0 < jump < period else period
         cuts.sort()
-        for piece in range(3):
+        done = 1
+        for piece in range(between + 2):
             width = cuts[piece + 1] - cuts[piece]
             if width <= 1e-12 * period:
                 continue
@@ -112,6 +113,9 @@ def _run(
                 advance(
                     joints, elements, whole, state, drive, width / steps, modes, work, torque, after
                 )
+            if done < between and cuts[piece + 1] >= (done - 1e-9) * period / between:
+                states[between * k + done] = state
+                done += 1
     return states
 
 
@@ -132,6 +136,7 @@ def simulate_loop(
     loop: Loop | None = None,
     *,
     substeps: int = 20,
+    between: int = 1,
 ) -> tuple[Array, Array, Array]:
     """Simulate a plant whose inputs are held over each sampling period, with a controller or without.
 
@@ -149,11 +154,13 @@ def simulate_loop(
         The controller.
     substeps : int
         Integration steps in a sampling period.
+    between : int
+        Instants in a sampling period at which the motion is returned.
 
     Returns
     -------
-    position, speed, inputs : ndarray, shapes (N, n), (N, n), (N, nu)
-        At the sampling instants, the first one the initial state; the inputs that acted.
+    position, speed, inputs : ndarray, shapes (N between, n), (N between, n), (N, nu)
+        At these instants, the first one the initial state; the inputs that acted.
 
     Raises
     ------
@@ -180,6 +187,7 @@ def simulate_loop(
         float(period),
         start,
         int(substeps),
+        int(between),
     )
     return states[:, :n].copy(), states[:, n : 2 * n].copy(), inputs
 
@@ -192,8 +200,11 @@ def simulate(
     speed: ArrayLike,
     *,
     substeps: int = 20,
+    between: int = 1,
 ) -> tuple[Array, Array]:
     """Simulate a plant with one input (N,) in the open; see :func:`simulate_loop`."""
     column = np.asarray(inputs, dtype=np.float64)[:, None]
-    found = simulate_loop(plant, column, period, position, speed, substeps=substeps)
+    found = simulate_loop(
+        plant, column, period, position, speed, substeps=substeps, between=between
+    )
     return found[0], found[1]

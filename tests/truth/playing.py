@@ -10,6 +10,7 @@ from .bank import LEAD, Case, Columns, true_plant
 from .hidden import KINDS
 from .integrator import simulate
 from .plants import Array
+from .readings import BETWEEN
 from .rigs import RIGS
 
 
@@ -37,11 +38,15 @@ def play(case: Case, inputs: Array, period: float, *, substeps: int = 20) -> dic
     )  # a sensor remembers what was before the record
     rest = np.zeros(len(rig.joints))
     lead, driven = (LEAD, quiet) if KINDS[case.effect].read is not None else (0, np.asarray(inputs))
-    position, _ = simulate(true_plant(case), driven, period, rest, rest, substeps=substeps)
     read = KINDS[case.effect].read
+    between = 1 if read is None else BETWEEN
+    position, _ = simulate(
+        true_plant(case), driven, period, rest, rest, substeps=substeps, between=between
+    )
     if read is not None:
         i = rig.sensors.index(case.location)
-        position[:, i] = read(position[:, i], period, case.parameters)
+        position[:, i] = read(position[:, i], period / between, case.parameters)
+        position = position[::between]
     found: dict[str, Array] = {
         "time": period * np.arange(len(inputs)),
         rig.actuator: np.asarray(inputs, dtype=np.float64),

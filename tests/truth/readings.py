@@ -11,6 +11,9 @@ from scipy.signal import lfilter
 
 from .plants import Array
 
+BETWEEN = 8
+"""Instants of the true motion in a sampling period, at which sensors with a dynamic of their own read: an input that
+jumps, or a friction that changes sides, bends it where a spline through the samples knows nothing of it."""
 Strength = Mapping[str, float]
 Read = Callable[[Array, float, Strength], Array]
 """From a true angle (samples,), the sampling period and the strength to what the sensor reads."""
@@ -49,8 +52,8 @@ def read_late(y: Array, period: float, p: Strength) -> Array:
 
 
 def read_slowly(y: Array, period: float, p: Strength) -> Array:
-    """Trapezia a fiftieth of a sample wide, on a spline through the angles."""
-    fine, tau = 50, p["time_constant"]
+    """Trapezia an eighth of a period wide, on a spline through the angles."""
+    fine, tau = 8, p["time_constant"]
     path = CubicSpline(np.arange(y.size), y)(np.arange((y.size - 1) * fine + 1) / fine)
     share = period / fine / (2.0 * tau)
     keep, take = (1.0 - share) / (1.0 + share), share / (1.0 + share)

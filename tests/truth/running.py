@@ -14,6 +14,7 @@ from .hidden import KINDS
 from .integrator import Loop, simulate_loop
 from .machines import Machine, Values, plant_of
 from .plants import Array, Plant
+from .readings import BETWEEN
 
 LEAD = 0.1  # of the record: motion before it begins
 STILL = 0.3  # periods for which the input rests before the record: what was before has died away
@@ -88,21 +89,25 @@ class Setup:
         n = plant.inertia.size
         rest = np.zeros(n)
         loop = self._loop(which, n, len(reference), quiet) if along is None else None
+        read = [h for h in hidden if h.effect in READINGS]
+        between = BETWEEN if read else 1
         q, v, u = simulate_loop(
-            plant, reference, machine.period, rest, rest, loop, substeps=substeps
+            plant, reference, machine.period, rest, rest, loop, substeps=substeps, between=between
         )
         m = len(machine.joints)
         states = np.hstack([q[:, :m], v[:, :m]])
         readings = {name: states @ row for name, row in machine.sensors.items()}
-        for h in (h for h in hidden if h.effect in READINGS):
-            read = KINDS[h.effect].read
-            assert read is not None
-            readings[h.location] = read(readings[h.location], machine.period, h.parameters)
+        for h in read:
+            sensor = KINDS[h.effect].read
+            assert sensor is not None
+            readings[h.location] = sensor(
+                readings[h.location], machine.period / between, h.parameters
+            )
         return Run(
-            states=states[lead:],
+            states=states[lead * between :: between],
             driven=u,
             inputs=u[lead:],
-            readings={name: y[lead:] for name, y in readings.items()},
+            readings={name: y[lead * between :: between] for name, y in readings.items()},
         )
 
     def again(self, which: str, run: Run, states: Array, values: Values) -> Array:
