@@ -7,13 +7,13 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import chdtrc, ndtr, ndtri
 
 from physid.criticism.base import NOISE_LIKE, Base
 from physid.criticism.refit import Refit
 from physid.errors import NumericsError
 from physid.identification.estimate import Estimate
-from physid.identification.linearisation import linearise
+from physid.identification.linearisation import linearise, normal_equations
 from physid.identification.noise import correlation_time
 from physid.identification.output_error import minimise
 from physid.identification.problem import Problem
@@ -49,10 +49,14 @@ class Judgement:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bench:
-    """The base model on judging windows: as fitted elsewhere but for states, and its best there."""
+    """The base model on judging windows: as fitted elsewhere but for states, and its best there.
+
+    ``moved`` is the t-value of the difference of its parameters there and elsewhere.
+    """
 
     before: Estimate
     ground: Ground
+    moved: float = 0.0
 
 
 def benches(judging: Mapping[str, Problem], base: Base) -> dict[str, Bench]:
@@ -70,8 +74,34 @@ def benches(judging: Mapping[str, Problem], base: Base) -> dict[str, Bench]:
                 tolerance=1.0 / problem.measurements(),
             )
             ground = ground_of(problem, best)
-            found[horizon] = Bench(before=replace(before, theta=theta), ground=ground)
+            moved = moved_by(base, horizon, ground)
+            found[horizon] = Bench(before=replace(before, theta=theta), ground=ground, moved=moved)
     return found
+
+
+def moved_by(base: Base, horizon: str, ground: Ground) -> float:
+    """Return the t-value of what the base's parameters differ by between choosing and judging data.
+
+    It is Wald's statistic, of the parameters' covariances on both for residuals as coloured as they are there, as
+    a normal quantile: whether a model holds throughout (Chow, Econometrica 28, 1960), however much of one colour
+    its errors of prediction are.
+    """
+    if horizon not in base.points or not len(ground.estimate.theta):
+        return 0.0
+    problem, fit = base.problems[horizon], base.fits[horizon]
+    hessians = [
+        (normal_equations(problem, base.points[horizon], fit.theta)[0], problem, fit),
+        (ground.point.projected.T @ ground.point.projected, ground.problem, ground.estimate),
+    ]
+    change = ground.estimate.theta - fit.theta
+    spread = np.zeros((len(change), len(change)))
+    for hessian, there, estimate in hessians:
+        level = max(estimate.squares / there.measurements(), 1.0) * colour(there, estimate)
+        spread += level * np.linalg.pinv(hessian, rcond=1e-12, hermitian=True)
+    sizes = np.sqrt(np.maximum(np.diag(spread), 1e-300))
+    whitened = np.linalg.pinv(spread / np.outer(sizes, sizes), rcond=1e-9, hermitian=True)
+    distance = float((change / sizes) @ whitened @ (change / sizes))
+    return float(-ndtri(np.clip(chdtrc(len(change), max(distance, 0.0)), 1e-300, 0.5)))
 
 
 def judge(judging: Mapping[str, Bench], candidate: Refit) -> Judgement:
@@ -149,7 +179,7 @@ def _compare(judging: Bench, candidate: Refit, horizon: str) -> tuple[Estimate, 
     t = t_value(difference, residual, basis, channels, point.states)
     size = bench.problem.measurements()
     if before.squares > UNSTEADY * bench.estimate.squares and after.squares < NOISE_LIKE * size:
-        t = max(t, better_by(before.residuals, after.residuals))
+        t = max(t, better_by(before.residuals, after.residuals), judging.moved)
     return after, t
 
 
