@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from physid.errors import ModelError, NumericsError
+from physid.errors import DivergedError, ModelError, NumericsError
 from physid.identification.accuracy import SHARE_OF_RESULT, as_engine, refine_steps
 from physid.identification.estimate import Estimate
 from physid.identification.experiment import Experiment
@@ -169,7 +169,7 @@ def confirmed(problem: Problem, estimate: Estimate, error: float) -> Fitted:
     They are compared at the same step and with the engine's own friction loss in both.
     """
     notes: tuple[str, ...] = ()
-    agree = True
+    agree, diverges = True, False
     if problem.windows[0].simulator.compiled:
         reference = _on_engine(problem)
         worst = _largest_difference(reference, as_engine(problem), estimate)
@@ -178,15 +178,23 @@ def confirmed(problem: Problem, estimate: Estimate, error: float) -> Fitted:
         )
         agree = bool(np.isfinite(worst) and worst <= AGREEMENT * spread)
         if not agree:
-            notes = ("The compiled back end differs from MuJoCo here; the result is MuJoCo's own.",)
-            problem = reference
-            estimate = _again(problem, estimate)
+            try:
+                estimate = _again(reference, estimate)
+                problem = reference
+                notes = (
+                    "The compiled back end differs from MuJoCo here; the result is MuJoCo's own.",
+                )
+            except DivergedError:
+                diverges = True
+                notes = (
+                    "MuJoCo's own run diverges at the fitted values; the result is the compiled back end's.",
+                )
     return Fitted(
         problem=problem,
         estimate=estimate,
         uncertainty=uncertainty_of(problem, estimate),
         integration_error=error,
-        confirmed=True,
+        confirmed=not diverges,
         notes=notes,
     )
 
