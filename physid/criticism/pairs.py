@@ -35,8 +35,9 @@ LIKE = 0.8
 HALF_NAMED, CERTAINLY = 0.8, 6.0
 """Share of the excess explained below which a best single wants a partner though little is left, and standard
 deviations of noise's squares by which that must be more than noise."""
-WELL_NAMED = 0.95
-"""Share of the excess explained beyond which no pair is looked for."""
+WELL_NAMED, STILL_FAR = 0.95, 10.0
+"""Share of the excess explained beyond which no pair is looked for, unless mean squares over the noise's are left
+that are no shape's fault."""
 
 
 def _different(fits: Sequence[Refit]) -> list[Refit]:
@@ -73,7 +74,8 @@ def wanting_partners(base: Base, fits: Sequence[Refit]) -> list[Refit]:
         own = best.added[0].effect.memory
         needing = [f for f in simpler if own and explained(base, f) >= WELL_NAMED]
         return [] if any(noise_like(base, f) for f in needing) else needing[:1]
-    if explained(base, best) >= WELL_NAMED:
+    far = best.fits["long"].squares > STILL_FAR * base.problems["long"].measurements()
+    if explained(base, best) >= WELL_NAMED and not far:
         return simpler[:1]
     return _different(fits)[:PARTNERS]
 

@@ -229,13 +229,13 @@ def in_other_kinds(base: Base, best: Refit, scales: Mapping[Place, Scales]) -> R
 
     They were chosen while a partner was missing, or beside a model that was distorted.
     """
-    tried = {_kind_of(best.fitted)}
+    tried = {kind_of(best.fitted)}
     while True:
         for added in _kinds_beside(best.fitted, scales):
-            if _kind_of(added) in tried:
+            if kind_of(added) in tried:
                 continue
-            tried.add(_kind_of(added))
-            other = _with_values(base, best, added)
+            tried.add(kind_of(added))
+            other = with_other_values(base, best, added)
             if other is not None and _better(base, best, other) is other:
                 best = other
                 break
@@ -256,12 +256,12 @@ def in_other_shapes(base: Base, best: Refit) -> Refit:
             for factor in SHAPES if c.shape and not c.fixed and not c.instant else ():
                 values = {**placed.values, c.name: factor * placed.values[c.name]}
                 added = (*best.fitted[:k], placed.with_values(values), *best.fitted[k + 1 :])
-                other = _with_values(base, best, added, best.fits["long"].squares)
+                other = with_other_values(base, best, added, best.fits["long"].squares)
                 found = found if other is None else _better(base, found, other) or found
     return found
 
 
-def _kind_of(added: Sequence[Placed]) -> tuple[float, ...]:
+def kind_of(added: Sequence[Placed]) -> tuple[float, ...]:
     """Return the values of coefficients that are chosen and not fitted."""
     return tuple(p.values[c.name] for p in added for c in p.effect.coefficients if c.fixed)
 
@@ -276,7 +276,7 @@ def _kinds_beside(
             yield (*added[:k], placed.with_values(values), *added[k + 1 :])
 
 
-def _with_values(
+def with_other_values(
     base: Base, fit: Refit, added: tuple[Placed, ...], goal: float = np.inf
 ) -> Refit | None:
     """Fit a candidate from where it ended, but for other values of its effects."""

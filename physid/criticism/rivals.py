@@ -9,7 +9,7 @@ import numpy as np
 
 from physid.criticism.base import Base
 from physid.criticism.merit import LEAST_GAIN, ordered, remembers
-from physid.criticism.refit import Refit
+from physid.criticism.refit import Refit, kind_of, with_other_values
 from physid.errors import NumericsError
 from physid.identification.accuracy import refine_steps, with_substeps
 from physid.identification.estimate import Estimate
@@ -38,7 +38,27 @@ def at_their_minimum(study: Study, base: Base, fits: list[Refit]) -> list[Refit]
         return fits
     done = [_fitted_on(base, f) if any(f is r for r in rivals) else f for f in fits]
     best = ordered(base, done)[0]
-    return ordered(base, [_caught_up(base, f, best) if _rivals(f, best) else f for f in done])
+    return ordered(
+        base,
+        [
+            _caught_up(base, _of_one_kind(base, f, best), best) if _rivals(f, best) else f
+            for f in done
+        ],
+    )
+
+
+def _of_one_kind(base: Base, fit: Refit, best: Refit) -> Refit:
+    """Return the best one's effect elsewhere with coefficients that are chosen, not fitted, as it has them, if better.
+
+    A joint and a tendon may be one place by two names, and were chosen for apart.
+    """
+    if not _is_elsewhere(fit, best) or kind_of(fit.fitted) == kind_of(best.fitted):
+        return fit
+    added = tuple(
+        own.with_values(known.values) for own, known in zip(fit.fitted, best.fitted, strict=True)
+    )
+    other = with_other_values(base, fit, added)
+    return fit if other is None else ordered(base, [fit, other])[0]
 
 
 def _rivals(fit: Refit, best: Refit) -> bool:
