@@ -85,7 +85,7 @@ def ordered(base: Base, fits: Iterable[Refit]) -> list[Refit]:
     stretches: it comes first only if it does over the longest as well, where its initial states tell least.
     """
     found = sorted_by_score(base, list(fits), tuple(base.fits))
-    return _parts_first(base, _remembering_last(base, found))
+    return _one_before_two(base, _parts_first(base, _remembering_last(base, found)))
 
 
 def _remembering_last(base: Base, found: list[Refit]) -> list[Refit]:
@@ -116,6 +116,26 @@ def _parts_first(base: Base, found: list[Refit]) -> list[Refit]:
             p.place == own.place and p.effect.name in own.effect.supersedes for p in fit.added
         )
         if len(fit.added) > 1 and parts and values[k] < values[0] + LEAST_GAIN:
+            return [fit, *found[:k], *found[k + 1 :]]
+    return found
+
+
+def _one_before_two(base: Base, found: list[Refit]) -> list[Refit]:
+    """Put a law that leaves noise alone before one that it contains and a second effect that do no better together."""
+    if len(found) < 2 or len(found[0].added) != 2:
+        return found
+    values = scores(base, found, tuple(base.fits))
+    for k, fit in enumerate(found):
+        own = fit.added[0]
+        contains = any(
+            p.place == own.place and p.effect.name in own.effect.supersedes for p in found[0].added
+        )
+        if (
+            len(fit.added) == 1
+            and contains
+            and noise_like(base, fit)
+            and values[k] < values[0] + LEAST_GAIN
+        ):
             return [fit, *found[:k], *found[k + 1 :]]
     return found
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from physid.criticism.base import NOISE_ALONE, Base
-from physid.criticism.grounds import Group, grounds_of, screened
+from physid.criticism.grounds import TWIN, Group, grounds_of, screened
 from physid.criticism.merit import explained, halves, noise_like, scores, sorted_by_score
 from physid.criticism.refit import Refit, Start, refit, start_of, with_block, with_candidate
 from physid.criticism.rivals import RIVALLING
@@ -30,6 +30,8 @@ PROMISES = 0.4
 ones promised 0.75 to 0.99 in fifteen pairs of fifteen: beside what is right, the missing is most of what is left."""
 LOST = 1e3
 """Mean squares over the noise's that a single leaves from which nothing looks like itself, and no promise tells."""
+TWIN_STARTS = 2
+"""Shapes in which such an exchange is started."""
 LIKE = 0.8
 """Share of an effect's gain alone that another must have to be exchanged for it in a pair."""
 HALF_NAMED, CERTAINLY = 0.8, 6.0
@@ -73,6 +75,7 @@ def wanting_partners(base: Base, fits: Sequence[Refit]) -> list[Refit]:
         # what does all by itself needs no partner.
         own = best.added[0].effect.memory
         needing = [f for f in simpler if own and explained(base, f) >= WELL_NAMED]
+        needing += [f for f in simpler if _may_be_two(best, f)]
         return [] if any(noise_like(base, f) for f in needing) else needing[:1]
     far = best.fits["long"].squares > STILL_FAR * base.problems["long"].measurements()
     if explained(base, best) >= WELL_NAMED and not far:
@@ -86,6 +89,15 @@ def _half_named(base: Base, best: Refit) -> bool:
     beyond = best.fits["long"].squares - size
     left = beyond > CERTAINLY * np.sqrt(2.0 * size)
     return bool(left and explained(base, best) < HALF_NAMED)
+
+
+def _may_be_two(best: Refit, other: Refit) -> bool:
+    """Say whether the best may be another, which it contains, beside an effect of one coefficient.
+
+    A friction that depends on the direction is one that does not, beside a constant load.
+    """
+    sizes = [len(f.added[0].effect.coefficients) for f in (best, other)]
+    return best.added[0].place == other.added[0].place and sizes[0] == sizes[1] + 1
 
 
 def _may_imitate(best: Refit, other: Refit) -> bool:
@@ -213,18 +225,22 @@ def _simpler(
         for single in singles:
             placed = single.fitted[0]
             if placed.place == own.place and placed.effect.name in own.effect.supersedes:
-                other = _exchanged_for(base, pair, own, placed, scales[own.place])
+                other = _exchanged_for(base, pair, own, [placed], scales[own.place])
                 found += [other] if other is not None and other.plausible(scales) else []
     return (sorted_by_score(base, found, ("short", "long")) or [pair])[0]
 
 
 def exchanged(
-    base: Base, pair: Refit, singles: Sequence[Refit], scales: Mapping[Place, Scales]
+    base: Base,
+    pair: Refit,
+    singles: Sequence[Refit],
+    scales: Mapping[Place, Scales],
+    candidates: Sequence[tuple[Effect, Place]],
 ) -> list[Refit]:
-    """Return pairs in which one effect is exchanged for another that did about as well alone.
+    """Return pairs in which one effect is exchanged for another that does about as well, alone or beside the other.
 
     While the other one was missing, a lag and a delay looked the same, or a stiff mode and an inertia; beside it
-    they need not.
+    they need not, and what did not look alike may.
     """
     alone = {f.sites()[0]: f for f in singles if len(f.added) == 1}
     values = dict(zip(alone, scores(base, [*alone.values()], ("short", "long")), strict=True))
@@ -239,20 +255,52 @@ def exchanged(
                 continue
             if values[other_site] > LIKE * values[site] or placed.place not in scales:
                 continue
-            other = _exchanged_for(base, pair, own, placed, scales[placed.place])
-            if other is not None:
-                found.append(_ordered(base, with_block(base, other), singles))
+            other = _exchanged_for(base, pair, own, [placed], scales[placed.place])
+            found += [] if other is None else [_ordered(base, with_block(base, other), singles)]
+    known = {frozenset(f.sites()) for f in [pair, *found]}
+    for own in pair.fitted if noise_like(base, pair) else ():
+        for group in _twins_beside(base, pair, own, candidates):
+            placed = group.scored[0].start
+            partner = next(p for p in pair.fitted if not p.same_site(own))
+            label = base.problems["long"].model.structure.label
+            sites = {(p.effect.name, label(p.place)) for p in (placed, partner)}
+            if frozenset(sites) in known or _overlap(placed, partner):
+                continue
+            starts = [s.placed for s in group.starts]
+            other = _exchanged_for(base, pair, own, starts, group.scales)
+            found += [] if other is None else [_ordered(base, with_block(base, other), singles)]
     return found
 
 
+def _twins_beside(
+    base: Base, pair: Refit, own: Placed, candidates: Sequence[tuple[Effect, Place]]
+) -> list[Group]:
+    """Return what would gain as much as one effect of a pair beside the other, where the pair ended."""
+    partner = next(p for p in pair.fitted if not p.same_site(own))
+    inner = pair.on(base.problems["long"].windows)
+    inner = with_candidate(base.problems["long"].with_windows(inner.windows), (partner,))
+    theta = start_of(pair.problem, pair.fits["long"].theta, inner)
+    try:
+        ground = replace(states_only(replace(inner, model=inner.at(theta))), theta=theta)
+        groups = screened([(inner, ground)], candidates, REFITS, TWIN_STARTS)
+    except NumericsError:
+        return []
+    alike = [g for g in groups if (g.effect, g.place) == (own.effect, own.place)]
+    return [
+        g
+        for g in groups
+        if alike and g not in alike and g.gains.max() >= TWIN * alike[0].gains.max()
+    ]
+
+
 def _exchanged_for(
-    base: Base, pair: Refit, own: Placed, placed: Placed, scales: Scales
+    base: Base, pair: Refit, own: Placed, others: Sequence[Placed], scales: Scales
 ) -> Refit | None:
     """Fit a pair with one of its effects exchanged for another, from where it ended."""
     partner = next(p for p in pair.fitted if not p.same_site(own))
     inner = with_candidate(base.problems["long"], (partner,))
     theta = start_of(pair.problem, pair.fits["long"].theta, inner)
-    starts = [Start(placed, theta)]
+    starts = [Start(placed, theta) for placed in others]
     # What ends clearly above it is not exchanged for it.
     goal = RIVALLING * pair.fits["long"].squares
     return refit(base, inner, starts, scales, rank=pair.rank, already=(partner,), goal=goal)

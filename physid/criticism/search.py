@@ -190,7 +190,7 @@ def _searched(
     fits = _best_with_blocks(base, fits, scales)
     if not fits or len(fits[0].added) < 2:
         return fits
-    others = exchanged(base, fits[0], singles, scales)
+    others = exchanged(base, fits[0], singles, scales, candidates)
     others += without_partner(base, fits[0], scales)
     return _best_with_blocks(base, _better_of([*fits, *others], base), scales)
 
