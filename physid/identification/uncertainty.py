@@ -11,7 +11,7 @@ parameter some way off.  Limits: the model must fit; a missing effect makes ever
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -22,12 +22,21 @@ from physid.identification.estimate import Estimate
 from physid.identification.instants import spreads
 from physid.identification.linearisation import Reduced, normal_equations, reduced
 from physid.identification.noise import correlation_time
-from physid.identification.problem import MOST_AT_ONCE, Block, Problem
+from physid.identification.problem import (
+    MOST_AT_ONCE,
+    Block,
+    Problem,
+    residuals_of,
+    state_after,
+)
 
 WIDEST = 400
 """Most lags of the Bartlett kernel, samples."""
 BLURRED = 1e-7
 """... below which one-sided differences, good to four digits, do not tell whether it is."""
+GROWN, HALVINGS, TENTH = 300.0, 4, 10
+"""Times that a change of the initial state may grow from the first tenth of a piece to its last; and how often pieces
+are halved that it may not."""
 UNSEEN = 1e-9
 """Eigenvalue of the scaled information matrix below which a direction is not identified."""
 
@@ -52,6 +61,8 @@ def uncertainty_of(problem: Problem, estimate: Estimate) -> Uncertainty:
 
 
 def _uncertainty_of(problem: Problem, estimate: Estimate) -> Uncertainty:
+    if problem.runs_away:
+        problem, estimate = _within_reach(problem, estimate)
     bends = any(c.shape for e in problem.model.effects for c in e.effect.coefficients)
     for central in (True,) if bends else (False, True):
         blocks = _columns(problem, estimate, central=central)
@@ -75,6 +86,42 @@ def _uncertainty_of(problem: Problem, estimate: Estimate) -> Uncertainty:
     covariance = covariance * np.outer(wider, wider)
     std[blind] = np.nan
     return Uncertainty(covariance, std)
+
+
+def _within_reach(problem: Problem, estimate: Estimate) -> tuple[Problem, Estimate]:
+    """Return a fit on pieces so short that changes of the initial states do not grow out of what is linear.
+
+    What was found may be less stable than the model that the pieces were cut for.  Beyond, differences are no
+    derivatives, and free initial states take the place of the record's length, which tells no more.
+    """
+    for _ in range(HALVINGS):
+        if _growth(problem, estimate) < GROWN:
+            break
+        frozen = replace(problem, model=problem.at(estimate.theta), parameters=())
+        windows, states = [], []
+        for e, w in enumerate(problem.windows):
+            half = w.samples // 2
+            ends = [state_after(frozen, e, k, x, half) for k, x in enumerate(estimate.states[e])]
+            starts = np.stack([w.starts, w.starts + half], axis=1).ravel()
+            windows.append(replace(w, starts=starts, samples=half))
+            states.append(np.stack([estimate.states[e], ends], axis=1).reshape(len(starts), -1))
+        problem = problem.with_windows(windows)
+        residuals = residuals_of(problem, [estimate.theta], [states])[0]
+        estimate = replace(estimate, states=states, residuals=residuals, point=None)
+    return problem, estimate
+
+
+def _growth(problem: Problem, estimate: Estimate) -> float:
+    """Return how many times larger a change of the initial state is in the last readings than in the first."""
+    frozen = replace(problem, model=problem.at(estimate.theta), parameters=())
+    largest, channels = 0.0, len(problem.sigma)
+    for _, columns in columns_of(frozen, np.zeros(0), estimate.states, estimate.residuals):
+        size = np.abs(columns[:, :, :-1]).reshape(len(columns), -1, channels, columns.shape[2] - 1)
+        size = size.max(axis=(2, 3))
+        few = max(size.shape[1] // TENTH, 1)
+        grown = size[:, -few:].max(axis=1) / np.maximum(size[:, :few].max(axis=1), 1e-300)
+        largest = max(largest, float(grown.max()))
+    return largest
 
 
 def _columns(
