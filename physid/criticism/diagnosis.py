@@ -11,13 +11,16 @@ import numpy as np
 from physid.criticism.account import effect_row, finite
 from physid.criticism.base import NOISE_LIKE, Base, Split
 from physid.criticism.evidence import Bench, Judgement, benches, judge
+from physid.criticism.grounds import ran_away
 from physid.criticism.leads import Lead, lead_notes, possible_leads, sites_of
 from physid.criticism.merit import LEAST_GAIN, explained, quiet_base, scores, spread_of_states
 from physid.criticism.refit import Refit
 from physid.criticism.search import base_of, search, sharpened, windows_of
 from physid.identification.estimate import Estimate
+from physid.identification.fitting import own_values
 from physid.identification.screening import possible_candidates
 from physid.identification.study import Study
+from physid.identification.windows import state_indices
 
 Verdict = Literal["effect_missing", "nothing_missing", "unexplained"]
 LEAST_SHARE = 0.02
@@ -174,11 +177,23 @@ def led_by(study: Study, found: Diagnosis, k: int) -> Diagnosis:
 def with_effects(study: Study, candidate: Candidate, horizon: str = "long") -> Study:
     """Return the study with a candidate's effects in its model, at the values fitted at a horizon.
 
-    Those on whole stretches are nearer where they are right, but may be in a minimum of their own.
+    Those on whole stretches are nearer where they are right, but may be in a minimum of their own.  Where the model's
+    own parameters ran away while the effects were missing, its own values are another start.
     """
     fit = candidate.refit
     problem = fit.problem.on(study.problem.windows)
-    return replace(study, problem=problem, theta=fit.fits[horizon].theta, states=None)
+    theta = fit.fits[horizon].theta
+    others = (own_values(problem, theta),) if ran_away(problem, theta) else ()
+    left = left_on_windows(fit)
+    return replace(study, problem=problem, theta=theta, states=None, others=others, left=left)
+
+
+def left_on_windows(fit: Refit) -> float:
+    """Return the mean squares that a candidate leaves on long windows, per degree of freedom."""
+    known = fit.fits["long"]
+    sizes = [r.size for r in known.residuals]
+    free = sum(len(x) for x in known.states) * len(state_indices(fit.problem.model))
+    return known.squares / max(sum(sizes) - free - len(known.theta), 1)
 
 
 def candidate_rows(study: Study, found: Diagnosis) -> list[dict[str, Any]]:

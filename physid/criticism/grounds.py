@@ -77,6 +77,13 @@ class Group:
         return bool(np.mean(alike) >= 0.5 or (self.effect.memory and alike[-1]))
 
 
+def ran_away(problem: Problem, theta: np.ndarray) -> bool:
+    """Say whether parameters of the model's own have run away from its values, or a mass or a spring is gone."""
+    own = [(p, t) for p, t in zip(problem.parameters, theta, strict=True) if "@" not in p.name]
+    far = any(abs(t) > RUNAWAY * max(abs(p.value), p.scale) for p, t in own)
+    return far or vanished(problem, theta)
+
+
 def undistorted(study: Study, problem: Problem) -> Estimate:
     """Return the study's start as a ground for screening.
 
@@ -84,9 +91,7 @@ def undistorted(study: Study, problem: Problem) -> Estimate:
     the start, from the force balance or short windows, is nearer the truth.  Where even that has run
     away along a valley, the model's own values are.
     """
-    size = np.array([max(abs(p.value), p.scale) for p in problem.parameters])
-    ran_away = np.any(np.abs(study.theta) > RUNAWAY * size) or vanished(problem, study.theta)
-    theta = problem.start() if ran_away else study.theta
+    theta = problem.start() if ran_away(problem, study.theta) else study.theta
     found = states_only(replace(problem, model=problem.at(theta)))
     return replace(found, theta=theta)
 

@@ -15,6 +15,7 @@ from physid.criticism.refit import Refit, Start, refit, start_of, with_block, wi
 from physid.criticism.rivals import RIVALLING
 from physid.errors import NumericsError
 from physid.identification.estimate import Estimate
+from physid.identification.fitting import own_values
 from physid.identification.problem import Problem
 from physid.identification.screening import possible_candidates
 from physid.identification.staged import states_only, vanished
@@ -196,10 +197,7 @@ def _partners(
 
 def _from_own_values(problem: Problem, single: Refit) -> tuple[Problem, Estimate]:
     """Return a single at its fitted values beside the model's own: what is missing took a mass or a spring away."""
-    fitted = single.fits["long"].theta
-    theta = np.array(
-        [t if "@" in p.name else p.value for p, t in zip(problem.parameters, fitted, strict=True)]
-    )
+    theta = own_values(problem, single.fits["long"].theta)
     found = states_only(replace(problem, model=problem.at(theta)))
     return problem, replace(found, theta=theta)
 

@@ -23,6 +23,7 @@ from physid.identification.staged import (
     fit_whole,
     fit_windows,
     on_whole_records,
+    quick,
     settled_squares,
     starting_point,
     states_only,
@@ -36,6 +37,11 @@ from physid.plant.parameter import Parameter
 
 FAR_WORSE = 1.3
 """Mean squares on whole records, relative to those on windows, that tell of a wrong minimum."""
+FAR_FROM_OWN, NO_WORSE = 1.4, 2.0
+"""Times its own value from which a parameter has moved so far that the model's own values are another start, and
+squares over the noise's by which the fit from there may be worse to be as good."""
+MORE_THAN_WINDOWS = 1.05
+"""Those of a minimum beside which another is looked for, from windows."""
 QUIET = 0.1
 """Largest share of noise in the accelerations of a closing force balance."""
 CLOSING_POINTS = 8000
@@ -82,6 +88,7 @@ def estimated(study: Study, *, from_windows: bool = True) -> tuple[Problem, Esti
     elif from_windows:
         estimate = _from_other_shapes(study, _from_windows(study))
         estimate = in_the_best_valley(problem, estimate, tolerance_of(problem))
+        estimate = _nearer_the_model(problem, estimate)
     else:
         estimate = fit_whole(problem, study.theta)
     problem, error = refine_steps(
@@ -104,16 +111,20 @@ def _from_windows(study: Study) -> Estimate:
     diverge, the start's fit is the only one.  What MuJoCo's friction leaves adds up over a record.
     """
     first, enough = None, settled_squares(study.problem)
+    if study.left is not None and compiled(study.problem):
+        # Between friction's sticking and sliding whole records have minima in which windows do not end.
+        enough = min(enough, MORE_THAN_WINDOWS * study.left * study.problem.measurements())
     with suppress(NumericsError):
         first = fit_whole(on_whole_records(study.problem), study.theta, study.states)
         if first.squares < (enough if compiled(study.problem) else FAR_WORSE * enough):
             return first
     try:
-        return _through_windows(study)
+        other = _through_windows(study)
     except NumericsError:
         if first is None:
             raise
         return first
+    return other if first is None else min(first, other, key=lambda e: e.chi2)
 
 
 def _through_windows(study: Study) -> Estimate:
@@ -143,6 +154,28 @@ def _from_other_shapes(study: Study, estimate: Estimate) -> Estimate:
             other = _from_windows(replace(study, theta=near.theta, states=near.states))
             estimate = min(estimate, other, key=lambda e: e.chi2)
     return estimate
+
+
+def _nearer_the_model(problem: Problem, estimate: Estimate) -> Estimate:
+    """Return a fit from the model's own values where it leaves no more than one that ended far from them.
+
+    Of a chain that is seen at one joint, two sets of masses and springs do the same.
+    """
+    own = own_values(problem, estimate.theta)
+    moved = [t / o for p, t, o in zip(problem.parameters, estimate.theta, own, strict=True) if o]
+    if not quick(problem) or all(1.0 / FAR_FROM_OWN < m < FAR_FROM_OWN for m in moved):
+        return estimate
+    with suppress(NumericsError):
+        other = fit_whole(problem, own)
+        if other.chi2 < estimate.chi2 + NO_WORSE:
+            return other
+    return estimate
+
+
+def own_values(problem: Problem, theta: np.ndarray) -> np.ndarray:
+    """Return parameters (p,) with the model's own at its own values, and those of effects as they are."""
+    known = zip(problem.parameters, theta, strict=True)
+    return np.array([t if "@" in p.name else p.value for p, t in known])
 
 
 def _from(study: Study, theta: np.ndarray) -> tuple[Parameter, ...]:

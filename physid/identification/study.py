@@ -81,7 +81,8 @@ class Study:
 
     ``theta`` are parameter values from :func:`starting_point` (the model's own where nothing is free),
     ``states`` the records' initial states (1, nq + nv) where it found them; ``others`` other values (p,) to
-    start from, in the shapes of an added effect that looked next best, should these lead nowhere.
+    start from, in the shapes of an added effect that looked next best, should these lead nowhere; ``left`` the mean
+    squares that its fit on windows left, if one is known.
     """
 
     problem: Problem
@@ -91,6 +92,7 @@ class Study:
     options: Options
     states: list[np.ndarray] | None = None
     others: tuple[np.ndarray, ...] = ()
+    left: float | None = None
 
     @property
     def model(self) -> Model:
