@@ -190,9 +190,14 @@ def _searched(
     fits = _best_with_blocks(base, fits, scales)
     if not fits or len(fits[0].added) < 2:
         return fits
+    alone = without_partner(base, fits[0], scales)
+    enough = [f.sites()[0] for f in alone if noise_like(base, f)]
+    if enough:
+        # The partner only led it to its right values: nothing is told beside it, nor exchanged for it.
+        fits = [f for f in fits if len(f.added) == 1 or not set(enough) & set(f.sites())]
+        return _best_with_blocks(base, _better_of([*fits, *alone], base), scales)
     others = exchanged(base, fits[0], singles, scales, candidates)
-    others += without_partner(base, fits[0], scales)
-    return _best_with_blocks(base, _better_of([*fits, *others], base), scales)
+    return _best_with_blocks(base, _better_of([*fits, *alone, *others], base), scales)
 
 
 def _leaves_noise(base: Base, fit: Refit) -> bool:
