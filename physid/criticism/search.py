@@ -364,8 +364,10 @@ def _fitted_afresh(study: Study, problems: dict[str, Problem], split: Split) -> 
         problems["long"], long = _followed(study, problems["long"], theta, split)
     fits = {"short": fit_windows(problems["short"], long.theta), "long": long}
     if quick(problems["long"]):
-        again = _fitted_from(problems["long"], fits["short"].theta)
-        fits["long"] = min(long, again, key=lambda e: e.chi2)
+        # What short windows lead to may run away over long ones.
+        with suppress(NumericsError):
+            again = _fitted_from(problems["long"], fits["short"].theta)
+            fits["long"] = min(long, again, key=lambda e: e.chi2)
     return fits
 
 

@@ -28,6 +28,7 @@ def columns_of(
     residuals: list[np.ndarray],
     *,
     central: bool = False,
+    wide: float = 1.0,
     near: Nearby | None = None,
 ) -> Iterator[tuple[Block, np.ndarray]]:
     """Return sensitivities of the weighted simulation, a stretch at a time.
@@ -41,6 +42,8 @@ def columns_of(
     central : bool
         Step the parameters both ways where their bounds allow it: parameters that act alike then have
         columns that are alike to eight digits rather than four.  Tangents always are.
+    wide : float
+        Times that the parameters' steps are larger than usual.
     near : Nearby, optional
         Tangents at the point, if they are known.
 
@@ -59,7 +62,7 @@ def columns_of(
         yield from _tangent_columns(problem, near, theta, states, residuals)
         return
     free = state_indices(problem.model)
-    steps = parameter_steps(problem.parameters, theta)
+    steps = wide * parameter_steps(problem.parameters, theta)
     scales = state_scales(problem.model, states)
     p, nx = len(theta), len(free)
     moved = [[shifted(x, index, STEP * scales[i]) for x in states] for i, index in enumerate(free)]

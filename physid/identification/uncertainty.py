@@ -37,6 +37,9 @@ BLURRED = 1e-7
 GROWN, HALVINGS, TENTH = 300.0, 4, 10
 """Times that a change of the initial state may grow from the first tenth of a piece to its last; and how often pieces
 are halved that it may not."""
+FLAT, WIDER = 1e-4, 10.0
+"""Eigenvalue of the scaled information matrix, over the largest, below which differences this many times wider are
+asked as well, where a law bends."""
 UNSEEN = 1e-9
 """Eigenvalue of the scaled information matrix below which a direction is not identified."""
 
@@ -64,14 +67,29 @@ def _uncertainty_of(problem: Problem, estimate: Estimate) -> Uncertainty:
     if problem.runs_away:
         problem, estimate = _within_reach(problem, estimate)
     bends = any(c.shape for e in problem.model.effects for c in e.effect.coefficients)
-    for central in (True,) if bends else (False, True):
-        blocks = _columns(problem, estimate, central=central)
-        point = reduced(problem, blocks(), estimate.residuals)
-        hessian, _ = normal_equations(problem, point, estimate.theta)
-        scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
-        values, vectors = np.linalg.eigh(hessian / np.outer(scale, scale))
-        if values.min() > BLURRED * values.max():
-            break
+    if not bends:
+        found, least = _by_differences(problem, estimate, central=False)
+        return found if least > BLURRED else _by_differences(problem, estimate, central=True)[0]
+    found, least = _by_differences(problem, estimate, central=True)
+    if least > FLAT:
+        return found
+    # What is told by little is told wrongly where events move in jumps of a step's size: the noise of differences
+    # passes for information, and less of it the wider they are.
+    other, _ = _by_differences(problem, estimate, central=True, wide=WIDER)
+    both = np.isfinite(found.std_error) & np.isfinite(other.std_error)
+    ratio = other.std_error[both] / np.maximum(found.std_error[both], 1e-300)
+    return other if len(ratio) and float(np.max(ratio)) > 1.0 else found
+
+
+def _by_differences(
+    problem: Problem, estimate: Estimate, *, central: bool, wide: float = 1.0
+) -> tuple[Uncertainty, float]:
+    """Return the covariance by finite differences, and the information's least eigenvalue over the largest."""
+    blocks = _columns(problem, estimate, central=central, wide=wide)
+    point = reduced(problem, blocks(), estimate.residuals)
+    hessian, _ = normal_equations(problem, point, estimate.theta)
+    scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+    values, vectors = np.linalg.eigh(hessian / np.outer(scale, scale))
     seen = values > UNSEEN * values.max()
     inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T / np.outer(scale, scale)
     blind = np.abs(vectors[:, ~seen]).max(axis=1, initial=0.0) > 0.1
@@ -85,7 +103,7 @@ def _uncertainty_of(problem: Problem, estimate: Estimate) -> Uncertainty:
     wider = np.where(coloured > 0.0, std / np.sqrt(np.maximum(coloured, 1e-300)), 1.0)
     covariance = covariance * np.outer(wider, wider)
     std[blind] = np.nan
-    return Uncertainty(covariance, std)
+    return Uncertainty(covariance, std), float(values.min() / values.max())
 
 
 def _within_reach(problem: Problem, estimate: Estimate) -> tuple[Problem, Estimate]:
@@ -125,7 +143,7 @@ def _growth(problem: Problem, estimate: Estimate) -> float:
 
 
 def _columns(
-    problem: Problem, estimate: Estimate, *, central: bool
+    problem: Problem, estimate: Estimate, *, central: bool, wide: float
 ) -> Callable[[], Iterable[tuple[Block, np.ndarray]]]:
     """Return how to go through the columns, twice: what fits in memory is simulated once, or not at all."""
     if estimate.point is not None and estimate.point.rows and not central:
@@ -138,7 +156,13 @@ def _columns(
         ]
         return lambda: known
     once = partial(
-        columns_of, problem, estimate.theta, estimate.states, estimate.residuals, central=central
+        columns_of,
+        problem,
+        estimate.theta,
+        estimate.states,
+        estimate.residuals,
+        central=central,
+        wide=wide,
     )
     if sum(len(w.starts) * w.samples for w in problem.windows) > MOST_AT_ONCE:
         return once

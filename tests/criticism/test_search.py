@@ -195,9 +195,19 @@ def test_beside_what_remembers_a_pair_is_tried_where_one_of_it_does_nearly_all(m
     assert pairs.wanting_partners(None, [stribeck, friction]) == []
     shares[id(damper)] = 0.9
     assert pairs.wanting_partners(None, [mode, damper]) == []
+    both_ways = refit_of("asymmetric_friction")
+    monkeypatch.setattr(pairs, "noise_like", lambda base, fit: fit is not friction)
+    # It may be friction that is the same both ways, beside a load.
+    assert pairs.wanting_partners(None, [both_ways, friction]) == [friction]
     monkeypatch.setattr(pairs, "noise_like", lambda base, fit: False)
-    assert pairs.wanting_partners(None, [mode, damper]) == [damper]
-    assert pairs.wanting_partners(None, [stribeck, friction]) == [friction]
+    base = SimpleNamespace(problems={"long": SimpleNamespace(measurements=lambda: 1000)})
+    for fit in (mode, stribeck):
+        fit.fits = {"long": SimpleNamespace(squares=2000.0)}
+    assert pairs.wanting_partners(base, [mode, damper]) == [damper]
+    assert pairs.wanting_partners(base, [stribeck, friction]) == [friction]
+    # However much it explains, a hundred times the noise is no fault of a shape.
+    mode.fits = {"long": SimpleNamespace(squares=1e5)}
+    assert pairs.wanting_partners(base, [mode, damper]) == [mode, damper]
 
 
 def test_what_leaves_half_of_a_small_excess_wants_a_partner(monkeypatch):
@@ -400,7 +410,7 @@ def test_a_law_that_bends_is_started_from_half_and_twice_what_bends_it(rubbing, 
     tried = []
     monkeypatch.setattr(type(rubbing.base), "leaves_noise", lambda self, fits: False)
     monkeypatch.setattr(
-        refitting, "_with_values", lambda base, best, added, goal: tried.append(added)
+        refitting, "with_other_values", lambda base, best, added, goal: tried.append(added)
     )
     assert in_other_shapes(rubbing.base, wide) is wide
     speeds = [p.values["stribeck_velocity"] for (p,) in tried]
@@ -459,7 +469,7 @@ def test_an_effect_of_a_pair_is_exchanged_for_what_did_as_well_alone(rubbing, mo
 
     monkeypatch.setattr(pairs, "refit", spied)
     monkeypatch.setattr(pairs, "scores", lambda base, fits, horizons: [-100.0] * len(fits))
-    assert pairs.exchanged(rubbing.base, pair, singles, rubbing.scales) == []
+    assert pairs.exchanged(rubbing.base, pair, singles, rubbing.scales, []) == []
     assert ("coulomb_friction", "switched_damping") in tried
     assert ("quadratic_drag", "switched_damping") in tried
     assert not any(one == other for one, other in tried)
