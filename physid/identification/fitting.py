@@ -40,7 +40,7 @@ FAR_WORSE = 1.3
 FAR_FROM_OWN, NO_WORSE = 1.4, 2.0
 """Times its own value from which a parameter has moved so far that the model's own values are another start, and
 squares over the noise's by which the fit from there may be worse to be as good."""
-MORE_THAN_WINDOWS = 1.05
+MORE_THAN_WINDOWS = 1.01
 """Those of a minimum beside which another is looked for, from windows."""
 QUIET = 0.1
 """Largest share of noise in the accelerations of a closing force balance."""
