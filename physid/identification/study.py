@@ -38,6 +38,7 @@ from physid.identification.staged import (
     windowed,
 )
 from physid.identification.windows import whole
+from physid.plant.effect import Placed
 from physid.plant.model import Model
 from physid.plant.parameter import Parameter
 from physid.plant.simulation import Hold, Simulator, make_simulator
@@ -178,7 +179,7 @@ def _started(problem: Problem, free: set[str]) -> tuple[Problem, list[np.ndarray
         id(p): {c.name: model.coefficient_name(p, c) for c in p.effect.coefficients}
         for p in model.effects
     }
-    blank = [p for p in model.effects if free & set(names[id(p)].values())]
+    blank = [p for p in model.effects if _is_blank(model, p, free)]
     if not blank:
         return problem, []
     kept = tuple(p for p in model.effects if p not in blank)
@@ -228,6 +229,11 @@ def _started(problem: Problem, free: set[str]) -> tuple[Problem, list[np.ndarray
             )
         )
     return replace(problem, model=model, parameters=parameters), starts
+
+
+def _is_blank(model: Model, placed: Placed, free: set[str]) -> bool:
+    """Say whether an added effect lacks values that are free."""
+    return any(model.coefficient_name(placed, c) in free for c in placed.effect.coefficients)
 
 
 def _started_parameter(parameter: Parameter, found: Mapping[str, float]) -> Parameter:
@@ -289,11 +295,14 @@ def free_parameters(
         wanted = candidates(model)
         if not wanted:
             return named(model, added, options.bounds, options.priors), ["Nothing can be freed."]
+        # An effect without values has none yet with which it could be simulated.
+        kept = tuple(p for p in model.effects if not _is_blank(model, p, set(added)))
+        bare = replace(problem, model=replace(model, effects=kept))
         try:
-            chosen = identifiable(windowed(problem, LONG), wanted)
+            chosen = identifiable(windowed(bare, LONG), wanted)
         except DivergedError:
             # The values in the MJCF may be so far off that only short windows can be followed.
-            chosen = identifiable(windowed(problem, SHORT), wanted)
+            chosen = identifiable(windowed(bare, SHORT), wanted)
         names = [p.name for p in chosen.parameters]
         notes = list(chosen.notes)
     else:

@@ -1,6 +1,7 @@
 """A study from a bad start to its end, and what it refuses."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -120,6 +121,21 @@ def test_an_effect_added_by_hand_is_fitted_where_it_has_no_value():
     study = prepare(model, [noisy(model, u, y, 0.01, 1e-4)], options)
     assert [p.name for p in study.problem.parameters] == ["cubic_stiffness@rail.stiffness3"]
     assert fit_study(study).estimate.theta == pytest.approx([200.0], rel=0.02)
+
+
+def test_what_can_be_freed_is_asked_without_an_effect_that_has_no_values_yet(monkeypatch):
+    asked = []
+
+    def nothing(problem, wanted):
+        asked.append([e.effect.name for e in problem.model.effects])
+        return diverging() if len(asked) == 1 else SimpleNamespace(parameters=(), notes=())
+
+    problem = spring_problem()
+    model, free = add_effects(problem.model, ["hysteresis@rail", "quadratic_drag@rail:drag=0.1"])
+    monkeypatch.setattr(studies, "identifiable", nothing)
+    parameters, _ = free_parameters(replace(problem, model=model), Options(fit="auto"), free)
+    assert asked == [["quadratic_drag"], ["quadratic_drag"]]
+    assert {p.name.rsplit(".", 1)[1] for p in parameters} >= {"force", "displacement"}
 
 
 def test_a_lag_is_fitted_although_its_state_is_not_measured():
