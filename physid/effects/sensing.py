@@ -105,8 +105,9 @@ class SensorLag(Effect):
 class SensorDelay(Effect):
     """A reading that comes late: y(t - delay).
 
-    Readings between samples are interpolated by cubics.  A file carries MuJoCo's own sensor delay too,
-    for who reads it without physid.
+    Runs begin as much before their record; between samples the motion is the cubic that joins both ends with their
+    speeds (see :mod:`physid.plant.measuring`).  A file carries MuJoCo's own sensor delay too, for who reads it without
+    physid.
     """
 
     name = "sensor_delay"
