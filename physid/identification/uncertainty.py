@@ -37,6 +37,8 @@ BLURRED = 1e-7
 GROWN, HALVINGS, TENTH = 300.0, 4, 10
 """Times that a change of the initial state may grow from the first tenth of a piece to its last; and how often pieces
 are halved that it may not."""
+NODES = 15
+"""Nodes of a quadrature in each direction."""
 FLAT, WIDER = 1e-4, 10.0
 """Eigenvalue of the scaled information matrix, over the largest, below which differences this many times wider are
 asked as well, where a law bends."""
@@ -102,6 +104,8 @@ def _by_differences(
         std[k] = max(std[k], spread)
     wider = np.where(coloured > 0.0, std / np.sqrt(np.maximum(coloured, 1e-300)), 1.0)
     covariance = covariance * np.outer(wider, wider)
+    for k, spread in _bent_spreads(problem, estimate, covariance).items():
+        std[k] = max(std[k], spread)
     std[blind] = np.nan
     return Uncertainty(covariance, std), float(values.min() / values.max())
 
@@ -140,6 +144,40 @@ def _growth(problem: Problem, estimate: Estimate) -> float:
         grown = size[:, -few:].max(axis=1) / np.maximum(size[:, :few].max(axis=1), 1e-300)
         largest = max(largest, float(grown.max()))
     return largest
+
+
+def _bent_spreads(problem: Problem, estimate: Estimate, covariance: np.ndarray) -> dict[int, float]:
+    """Return rms errors of amplitudes and phases, by their number, where the sine and cosine are what is linear.
+
+    Where a phase is known to some radians only, the amplitude beside it follows from a tangent that holds for none
+    of them.  Both are taken over the normal distribution of sine and cosine, by quadrature.
+    """
+    index = {p.name: k for k, p in enumerate(problem.parameters)}
+    found: dict[int, float] = {}
+    nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
+    both = np.stack(np.meshgrid(nodes, nodes, indexing="ij")).reshape(2, -1)
+    weight = np.outer(weights, weights).ravel() / weights.sum() ** 2
+    for placed in problem.model.effects:
+        names = {
+            c.name: problem.model.coefficient_name(placed, c) for c in placed.effect.coefficients
+        }
+        pair = [index[n] for n in map(names.get, ("amplitude", "phase")) if n in index]
+        if len(pair) < 2:
+            continue
+        size, angle = estimate.theta[pair]
+        turned = np.array(
+            [[np.cos(angle), -size * np.sin(angle)], [np.sin(angle), size * np.cos(angle)]]
+        )
+        spread = turned @ covariance[np.ix_(pair, pair)] @ turned.T
+        values, vectors = np.linalg.eigh(spread)
+        moved = (vectors * np.sqrt(np.maximum(values, 0.0))) @ both
+        x, y = size * np.cos(angle) + moved[0], size * np.sin(angle) + moved[1]
+        away = np.hypot(x, y) - abs(size)
+        side = angle if size >= 0.0 else angle + np.pi
+        swung = np.angle(np.exp(1j * (np.arctan2(y, x) - side)))
+        found[pair[0]] = float(np.sqrt(weight @ away**2))
+        found[pair[1]] = float(np.sqrt(weight @ swung**2))
+    return found
 
 
 def _columns(

@@ -1,16 +1,20 @@
 """Standard errors: coverage under white and coloured noise, blindness said as NaN."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from physid.effects.catalogue import CATALOGUE
 from physid.errors import DivergedError
 from physid.identification import uncertainty
 from physid.identification.linearisation import linearise, normal_equations, reduce
 from physid.identification.output_error import minimise
 from physid.identification.uncertainty import bartlett, uncertainty_of
+from physid.plant.effect import Placed
+from physid.plant.structure import Place
 
 from .rigs import (
     NAMES,
@@ -161,3 +165,28 @@ def test_a_parameter_that_shows_in_few_samples_is_no_better_known_than_under_whi
     floor = uncertainty_of(problem, estimate)
     assert np.all(floor.std_error > 0.0)
     assert np.all(told.std_error >= floor.std_error * (1.0 - 1e-12))
+
+
+def test_an_amplitude_is_no_surer_than_the_phase_beside_it_lets_it():
+    """From draws of sine and cosine: near nothing is bent, far the tangent at a phase tells nothing."""
+    placed = Placed(
+        next(e for e in CATALOGUE if e.name == "gravity_imbalance"),
+        Place("joint", "hinge"),
+        {"amplitude": 0.5, "phase": 1.5},
+    )
+    names = ("amplitude", "phase")
+    problem = SimpleNamespace(
+        parameters=[SimpleNamespace(name=n) for n in ("mass", *names)],
+        model=SimpleNamespace(effects=[placed], coefficient_name=lambda p, c: c.name),
+    )
+    theta, rng = np.array([2.0, 0.5, 1.5]), np.random.default_rng(2)
+    for spread in (1e-3, 0.8):
+        covariance = np.diag([1.0, (0.01 * spread) ** 2, spread**2])
+        found = uncertainty._bent_spreads(problem, SimpleNamespace(theta=theta), covariance)
+        a, p = 0.5, 1.5
+        turned = np.array([[np.cos(p), -a * np.sin(p)], [np.sin(p), a * np.cos(p)]])
+        cartesian = turned @ covariance[1:, 1:] @ turned.T
+        centre = [a * np.cos(p), a * np.sin(p)]
+        x, y = rng.multivariate_normal(centre, cartesian, 200_000).T
+        assert found[1] == pytest.approx(np.sqrt(np.mean((np.hypot(x, y) - a) ** 2)), rel=0.02)
+        assert found[2] == pytest.approx(np.sqrt(np.mean((np.arctan2(y, x) - p) ** 2)), rel=0.05)
