@@ -112,9 +112,10 @@ def search(
         sizes = scales_of(long, base.fits["long"]) if _has_kinds(fits[0]) else {}
         fits[0] = in_other_kinds(base, in_other_shapes(base, fits[0]), sizes)
     far = not singly and fits and not noise_like(base, fits[0])
-    if far and explained(base, fits[0]) < FAR_FROM_NAMED:
-        return fits
-    return at_their_minimum(study, base, fits)
+    if not far or explained(base, fits[0]) >= FAR_FROM_NAMED:
+        fits = at_their_minimum(study, base, fits)
+    kept = windowed(study.problem, HORIZONS["long"], base.split.judging)
+    return [between_stretches(f, kept) if len(f.added) > 1 else f for f in fits]
 
 
 def _has_kinds(fit: Refit) -> bool:

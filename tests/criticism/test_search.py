@@ -271,6 +271,18 @@ def test_windows_shorten_until_the_base_can_be_followed(rubbing, monkeypatch):
     assert samples["short"] < samples["long"] <= 0.6 * longest
 
 
+def test_what_changed_while_nobody_looked_is_placed_for_pairs_too(rubbing, monkeypatch):
+    single = refitted(rubbing)
+    pair = replace(single, added=(*single.added, *single.added))
+    placed = replace(pair, instants=7)
+    monkeypatch.setattr(search, "_searched", lambda *arguments: [pair, single])
+    monkeypatch.setattr(search, "in_other_shapes", lambda base, fit: fit)
+    monkeypatch.setattr(search, "at_their_minimum", lambda study, base, fits: fits)
+    monkeypatch.setattr(search, "between_stretches", lambda fit, kept: placed)
+    found = search.search(rubbing.study, rubbing.base, [], lambda stage, share: None)
+    assert found == [placed, single]
+
+
 def test_candidates_that_rival_the_best_are_compared_at_their_minimum(rubbing):
     """One that stopped on its way would lose to another by more than tells candidates apart."""
     found = with_block(rubbing.base, refitted(rubbing))
