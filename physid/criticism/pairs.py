@@ -38,9 +38,9 @@ LIKE = 0.8
 HALF_NAMED, CERTAINLY = 0.8, 6.0
 """Share of the excess explained below which a best single wants a partner though little is left, and standard
 deviations of noise's squares by which that must be more than noise."""
-WELL_NAMED, STILL_FAR = 0.95, 10.0
-"""Share of the excess explained beyond which no pair is looked for, unless mean squares over the noise's are left
-that are no shape's fault."""
+WELL_NAMED, STILL_FAR, BEST_NAMED = 0.95, 10.0, 0.99
+"""Share of the excess explained beyond which no pair is looked for; where mean squares over the noise's are left that
+are no shape's fault, the last share."""
 
 
 def _different(fits: Sequence[Refit]) -> list[Refit]:
@@ -79,7 +79,7 @@ def wanting_partners(base: Base, fits: Sequence[Refit]) -> list[Refit]:
         needing += [f for f in simpler if _may_be_two(best, f)]
         return [] if any(noise_like(base, f) for f in needing) else needing[:1]
     far = best.fits["long"].squares > STILL_FAR * base.problems["long"].measurements()
-    if explained(base, best) >= WELL_NAMED and not far:
+    if explained(base, best) >= (BEST_NAMED if far else WELL_NAMED):
         return simpler[:1]
     return _different(fits)[:PARTNERS]
 

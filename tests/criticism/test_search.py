@@ -207,7 +207,10 @@ def test_beside_what_remembers_a_pair_is_tried_where_one_of_it_does_nearly_all(m
     assert pairs.wanting_partners(base, [stribeck, friction]) == [friction]
     # However much it explains, a hundred times the noise is no fault of a shape.
     mode.fits = {"long": SimpleNamespace(squares=1e5)}
+    shares[id(mode)] = 0.97
     assert pairs.wanting_partners(base, [mode, damper]) == [mode, damper]
+    shares[id(mode)] = 0.995
+    assert pairs.wanting_partners(base, [mode, damper]) == [damper]
 
 
 def test_what_leaves_half_of_a_small_excess_wants_a_partner(monkeypatch):
