@@ -61,18 +61,19 @@ def read_at_samples(
         Samples wanted.
     """
     if not plant.instruments:
-        return run
+        return Rollout(run.outputs[:, :samples], run.states[:, :samples])
     late, latest, nv = _lateness(plant, run), plant.latest, plant.model.nv
-    before = max(behind_by(plant, dt) - 1, 0)
+    intervals = behind_by(plant, dt)
+    before = max(intervals - 1, 0)
     now = run.states[:, before : before + samples]
     motion = {0.0: now} | {
-        delay: _earlier(run.states, initial, delay, latest, dt, samples, nv)
+        delay: _earlier(run.states, initial, delay, latest, intervals, dt, samples, nv)
         for delay in {latest, *late.tolist()} - {0.0}
     }
     outputs = run.outputs[:, before : before + samples].copy()
     for k in np.flatnonzero(late).tolist():
         if sensor_map is None or np.any(sensor_map[k, 1 + 2 * nv :]):
-            ahead = max(before - late[k] / dt, 0.0)
+            ahead = before - late[k] / dt
             outputs[:, :, k] = _between(run.outputs[:, :, k], ahead, samples)
         else:
             moving = motion[late[k]][:, :, : 2 * nv]
@@ -88,15 +89,14 @@ def _earlier(
     initial: np.ndarray,
     delay: float,
     latest: float,
+    intervals: int,
     dt: float,
     samples: int,
     nv: int,
 ) -> np.ndarray:
     """Return the states (w, samples, n) some time before the record's instants; see :func:`read_at_samples`."""
-    intervals = math.ceil(latest / dt - WHOLE)
-    ahead = (
-        intervals - delay / dt
-    )  # counted from where the short first step would begin, were it a whole one
+    # Counted from where the short first sample would begin, were it a whole one.
+    ahead = intervals - delay / dt
     left = math.floor(ahead + WHOLE)
     part = max(ahead - left, 0.0)
     if left > 0:
@@ -138,7 +138,13 @@ def _memory(plant: Plant, states: np.ndarray, first: int, size: int) -> np.ndarr
 
 
 def _between(y: np.ndarray, ahead: float, samples: int) -> np.ndarray:
-    """Read signals (w, n) some samples ahead, by cubics through four samples (w, samples)."""
+    """Read signals (w, n) some samples ahead, by cubics through four samples (w, samples).
+
+    Less than one sample before the first, the cubic through the first four goes on.
+    """
+    if ahead < 0.0:
+        before = 4.0 * y[:, :1] - 6.0 * y[:, 1:2] + 4.0 * y[:, 2:3] - y[:, 3:4]
+        y, ahead = np.concatenate([before, y], axis=1), ahead + 1.0
     whole = int(np.floor(ahead))
     part = ahead - whole
     if part == 0.0:
