@@ -16,6 +16,7 @@ import numpy as np
 
 from physid.identification.experiment import Experiment
 from physid.identification.windows import measured_states
+from physid.plant.engine import without_warnings
 from physid.plant.model import Model
 
 RUNS_AWAY = np.log(1e6)
@@ -59,7 +60,11 @@ def growth_rate(model: Model, experiment: Experiment) -> float:
     mean rate of the linearised flow (the largest Lyapunov exponent: Benettin et al., Meccanica 15,
     1980) over its beginning.
     """
-    linear = _Linearised(model)
+    with without_warnings():
+        return _growth_rate(_Linearised(model), experiment)
+
+
+def _growth_rate(linear: _Linearised, experiment: Experiment) -> float:
     samples = experiment.samples
     rows = np.linspace(0, samples - 1, GLANCES).astype(int)
     maps = linear.along(experiment, rows)
