@@ -163,3 +163,12 @@ def test_a_model_that_cannot_be_linearised_is_left_to_its_simulation(monkeypatch
     monkeypatch.setattr(reach, "growth_rate", lambda model, record: float("nan"))
     record = SimpleNamespace(samples=100, dt=0.01)
     assert reach.within_reach(None, record) is record
+
+
+def test_a_model_that_diverges_at_once_is_looked_at_in_silence(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    model = pole(0.5, damping=-1e14)
+    experiment = as_experiment(model, balanced(seconds=2.0))
+    growth_rate(model, experiment)
+    assert "WARNING" not in "".join(capfd.readouterr())
+    assert not list(tmp_path.iterdir())
