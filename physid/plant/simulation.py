@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import mujoco
 import numpy as np
@@ -52,6 +52,27 @@ class Ranges:
     position: np.ndarray
     speed: np.ndarray
     level: np.ndarray
+
+
+class Begun(NamedTuple):
+    """Where windows begin.
+
+    Parameters
+    ----------
+    initial : sequence of ndarray (w, nq + nv + na)
+        States, per plant.
+    controls : sequence of ndarray (steps, nu)
+        Input of every step of the record, per plant.
+    starts : ndarray (w,)
+        First samples.
+    times : sequence of ndarray (w,)
+        When that is [s], per plant.
+    """
+
+    initial: Sequence[np.ndarray]
+    controls: Sequence[np.ndarray]
+    starts: np.ndarray
+    times: Sequence[np.ndarray]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,40 +214,28 @@ class Simulator:
         times = [starts * self.dt] * len(plants)
         whole = self.substeps, self.step
         if not any(before):
-            return run(plants, initial, controls, starts, times, samples, *whole)
+            return run(plants, Begun(initial, controls, starts, times), samples, *whole)
         x, u = list(initial), list(controls)
         for k, plant in enumerate(plants):
             if before[k]:
                 # A first sample that is short leads to the instants of the record, at which its inputs jump.
                 short = plant.latest - (before[k] - 1) * self.dt
-                early = [times[k] - plant.latest]
-                steps = self.substeps, short / self.substeps
-                begun = run([plant], [x[k]], [u[k]], starts, early, 2, *steps)
-                if begun is None:
+                early = Begun([x[k]], [u[k]], starts, [times[k] - plant.latest])
+                led = run([plant], early, 2, self.substeps, short / self.substeps)
+                if led is None:
                     return None
-                x[k], u[k] = begun[0].states[:, 1], u[k][self.substeps :]
+                x[k], u[k] = led[0].states[:, 1], u[k][self.substeps :]
                 times[k] = times[k] - (before[k] - 1) * self.dt
         length = samples + max(before) - 1 + BETWEEN
-        return run(plants, x, u, starts, times, length, *whole)
+        return run(plants, Begun(x, u, starts, times), length, *whole)
 
     def _by_engine(
-        self,
-        plants: Sequence[Plant],
-        initial: Sequence[np.ndarray],
-        controls: Sequence[np.ndarray],
-        starts: np.ndarray,
-        times: Sequence[np.ndarray],
-        samples: int,
-        substeps: int,
-        step: float,
+        self, plants: Sequence[Plant], begun: Begun, samples: int, substeps: int, step: float
     ) -> list[Rollout]:
-        """Simulate in MuJoCo; see :meth:`run`, and ``times`` (w,) [s] at which the windows begin."""
+        """Simulate in MuJoCo so many samples of so many steps [s]."""
         runs = simulate_engine(
             [plant.compiled().in_steps_of(step) for plant in plants],
-            initial,
-            controls,
-            starts,
-            times,
+            *begun,
             samples,
             substeps,
             self.threads,
@@ -235,15 +244,7 @@ class Simulator:
         return [Rollout(outputs[:, :, channels], states) for outputs, states in runs]
 
     def _by_network(
-        self,
-        plants: Sequence[Plant],
-        initial: Sequence[np.ndarray],
-        controls: Sequence[np.ndarray],
-        starts: np.ndarray,
-        times: Sequence[np.ndarray],
-        samples: int,
-        substeps: int,
-        step: float,
+        self, plants: Sequence[Plant], begun: Begun, samples: int, substeps: int, step: float
     ) -> list[Rollout] | None:
         """Simulate compiled; see :meth:`_by_engine`.  None where a plant is no network, or leaves where it is one."""
         # The engine's friction, as its smoothed laws, depends on the step.
@@ -252,6 +253,7 @@ class Simulator:
         if networks is None:
             return None
         nv = self.structure.nv
+        initial, controls, starts, times = begun
         states = [np.empty((len(starts), samples, x.shape[1])) for x in initial]
         assert self.sensor_map is not None
         rated = np.any(self.sensor_map[:, 1 + 2 * nv :])
