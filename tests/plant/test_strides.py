@@ -95,3 +95,45 @@ def test_a_whole_step_is_the_four_stages_one_by_one(name):
             rates,
         )
         assert np.abs(states[0] - expected).max() < 1e-12 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        [],
+        ["asymmetric_friction@one:force_positive=0.3,force_negative=0.2"],
+        ["stribeck_friction@one:force=0.2,static_force=0.1,stribeck_velocity=0.5"],
+        ["hysteresis@one:force=0.02,displacement=0.05,exponent=2"],
+        ["backlash@shaft:gap=0.02"],
+    ],
+    ids=lambda e: e[0].split("@")[0] if e else "nothing more",
+)
+@pytest.mark.parametrize("rated", [False, True])
+def test_a_friction_that_rests_and_slips_is_the_same_stage_by_stage(effects, rated):
+    alone = FRICTION.replace(' frictionloss="0.03"', "").replace(' frictionloss="0.02"', "")
+    alone = alone.replace('frictionloss="0.05"', 'frictionloss="0.2"')
+    beside = alone.replace(
+        'name="two" axis="0 0 1"', 'name="two" axis="0 0 1" frictionloss="1e-15"'
+    )
+    found = []
+    step = 1e-4  # where the other one turns a step is cut, which must not tell
+    for xml in (alone, beside):  # two frictions are taken stage by stage where one of them rests
+        model, _ = add_effects(load_text(xml), effects)
+        simulator = make_simulator(model, step, 1, ranges(model))
+        plant = model.compile(simulator.step)
+        (network,) = networks_of([plant], exact=True)
+        inputs = inputs_for(model, 8000, hold=400)
+        controls = simulator.controls([plant], inputs)[0]
+        n = 2 * plant.model.nv + plant.model.na
+        states = np.empty((1, len(controls), n))
+        rates = np.empty((1, len(controls), len(network.linear)) if rated else (0, 0, 0))
+        starts = np.zeros((1, 2))
+        initial = np.zeros((1, n))
+        integrate(network, True, initial, controls, starts, len(controls), 1, step, states, rates)
+        found.append((network, states[0], rates))
+    (one, states, rates), (two, expected, other) = found
+    assert len(one.friction) < len(two.friction)
+    moves = np.abs(states[:, 2]) > 1e-12
+    assert 0.1 < moves.mean() < 0.97
+    assert np.allclose(states, expected, rtol=1e-8, atol=1e-10)
+    assert np.allclose(rates, other, rtol=1e-7, atol=1e-7)
