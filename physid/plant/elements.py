@@ -189,12 +189,14 @@ def element_forces(  # type: ignore[no-untyped-def]  # noqa: C901 - five kinds, 
             if rubbed >= 0:
                 v = abs(v) if abs(v) > REST else REST
                 v = -v if slides[rubbed] < 0.0 else v
-            if law_edge_kinds[e] == 0:
-                z = kept_beyond(z, sides[e], law_edges[e, 0], law_edges[e, 1])
-            elif law_edge_kinds[e] == 1:
-                v = kept_beyond(v, sides[e], law_edges[e, 0], law_edges[e, 1])
-            else:
-                now = kept_beyond(now, sides[e], law_edges[e, 0], law_edges[e, 1])
+            low, high = law_edges[e, 0], law_edges[e, 1]
+            if high < np.inf:  # few laws have edges
+                if law_edge_kinds[e] == 0:
+                    z = kept_beyond(z, sides[e], low, high)
+                elif law_edge_kinds[e] == 1:
+                    v = kept_beyond(v, sides[e], low, high)
+                else:
+                    now = kept_beyond(now, sides[e], low, high)
         constants = pointer_at(constants_at + 8 * law_starts[e])
         remembered = law_memories[e, 1]
         if remembered:
