@@ -19,7 +19,8 @@ from physid.identification.study import Study
 
 RIVALLING, SETTLED_BY = 1.1, 0.5
 """Squares on a long horizon, over those of the best, of candidates that are brought to their minimum, and what
-another step there must be expected to gain: candidates are told apart by less than ends a fit on its way."""
+another step there must be expected to gain, over the mean squares if these are more than the noise's: candidates
+are told apart by less than ends a fit on its way."""
 CONTENDING = 10.0
 """... of those whose steps are looked at: what a step too long leaves may be all that tells them apart."""
 FINER = 4
@@ -143,10 +144,14 @@ def _in_shorter_steps(base: Base, fit: Refit) -> Refit:
 
 
 def _settled(base: Base, fit: Refit, horizon: str) -> Estimate:
-    """Fit a candidate on at a horizon until another step would gain next to nothing."""
+    """Fit a candidate on at a horizon until another step would gain next to nothing.
+
+    Scores are told apart by shares of what is left: of much that is left more is next to nothing.
+    """
     known = fit.fits[horizon]
     problem = fit.on(base.problems[horizon].windows)
-    tolerance = SETTLED_BY / max(known.chi2, SETTLED_BY)
+    least = min(known.chi2, float(problem.measurements()))
+    tolerance = SETTLED_BY / max(least, SETTLED_BY)
     return minimise(problem, known.theta, known.states, iterations=12, tolerance=tolerance)
 
 
