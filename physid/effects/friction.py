@@ -129,10 +129,7 @@ class AsymmetricFriction(Effect):
 @force_law
 def stribeck_rise(x, v, t, p):  # type: ignore[no-untyped-def]
     """Rise of friction near rest: -p0 exp(-(v/p1)^2) tanh(v/p2)."""
-    side = v / p[2]
-    # Beyond twenty a hyperbolic tangent is one to the last digit, and takes longer than all the rest.
-    side = np.tanh(side) if abs(side) < 20.0 else (1.0 if side > 0.0 else -1.0)
-    return -p[0] * np.exp(-((v / p[1]) ** 2)) * side
+    return -p[0] * np.exp(-((v / p[1]) ** 2)) * np.tanh(v / p[2])
 
 
 class StribeckFriction(Effect):

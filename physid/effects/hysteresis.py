@@ -21,12 +21,7 @@ def bouc_wen(x, v, t, p, z, part):  # type: ignore[no-untyped-def]
     if part == 0:
         return -p[0] * z[0]
     size = abs(z[0])
-    turn, more = 1.0, p[2] - 1.0
-    while more >= 1.0:  # products are found several times faster than powers
-        turn *= size
-        more -= 1.0
-    if more > 0.0:
-        turn *= size**more
+    turn = size ** (p[2] - 1.0) if size > 0.0 or p[2] > 1.0 else 1.0
     return (v - 0.5 * turn * (abs(v) * z[0] + v * size)) / p[1]
 
 

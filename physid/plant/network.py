@@ -23,7 +23,7 @@ from physid.plant.compiling import BORROWING, kept
 from physid.plant.elements import element_forces, kept_beyond, readings_and_pulls
 from physid.plant.law import call_law, pointer_at
 from physid.plant.planar import planar_mass_and_bias
-from physid.plant.strides import carry, known_size, several_strides, stride_maps
+from physid.plant.strides import carry, known_size, several_strides, stride_map
 from physid.plant.tree import invert, mass_and_bias, workspace
 
 
@@ -185,23 +185,12 @@ def integrate(  # type: ignore[no-untyped-def]
     known = known_size(linear, rubs)
     given = np.zeros(known + 4 * forces)
     given[0] = 1.0
-    onward, later, taken = np.zeros((1, 0, n + count)), np.zeros((1, 0, 0)), np.zeros(0)
+    onward, later = np.zeros((0, n + count)), np.zeros((0, 0))
     if flat:
-        onward, later, taken = stride_maps(
-            linear, reads, pulls, net.friction_rows, friction_pulls, friction, nv, h, wanted
-        )
+        onward, later = stride_map(linear, reads, pulls, friction_pulls, friction, nv, h, wanted)
         if not forces and not rubs and not wanted:
             _integrate_linear(
-                onward[0],
-                given,
-                n,
-                net.limits,
-                initial,
-                controls,
-                starts,
-                samples,
-                substeps,
-                states,
+                onward, given, n, net.limits, initial, controls, starts, samples, substeps, states
             )
             return
     # What has edges, of (1, x) and of time.
@@ -228,10 +217,11 @@ def integrate(  # type: ignore[no-untyped-def]
         law_places,
         edge_rows,
         edge_times,
-        (onward, later, taken),
+        onward,
+        later,
         known,
         given,
-        np.zeros(onward.shape[2]),
+        np.zeros(onward.shape[1]),
         pulls.copy(),
         friction_pulls.copy(),
         net.diagonals.copy(),
@@ -262,7 +252,8 @@ def _integrate_elements(  # type: ignore[no-untyped-def]  # noqa: C901 - one cal
     law_places,
     edge_rows,
     edge_times,
-    maps,
+    onward,
+    later,
     first_force,
     given,
     ahead,
@@ -281,7 +272,7 @@ def _integrate_elements(  # type: ignore[no-untyped-def]  # noqa: C901 - one cal
     Parameters
     ----------
     flat : bool
-        Whether whole steps are one map: ``maps``, of :func:`stride_maps`.
+        Whether whole steps are one map: ``onward`` and ``later`` of :func:`stride_map`.
     reads, pulls, law_places : ndarray
         Of the elements; see :func:`physid.plant.elements.readings_and_pulls`.
     edge_rows, edge_times : (laws, 1 + n), (laws,)
@@ -312,10 +303,6 @@ def _integrate_elements(  # type: ignore[no-untyped-def]  # noqa: C901 - one cal
     n, nv = initial.shape[1], net.sines.shape[0]
     rubs, laws = friction.shape[0], law_addresses.size
     count, forces = reads.shape[0], pulls.shape[0]
-    onward, later, taken = maps
-    # A rig's only friction may rest throughout a whole step.
-    alone = onward.shape[0] > 1
-    seen = count + 1 if alone else count
     turns, planar, wanted = tree_parents.size > 0, planar_joints.shape[0] > 0, rates.shape[0] > 0
     x, u = given[1 : 1 + n], given[1 + n : 1 + n + nu]
     slides = given[1 + n + nu : 1 + n + nu + rubs]
@@ -366,7 +353,6 @@ def _integrate_elements(  # type: ignore[no-untyped-def]  # noqa: C901 - one cal
                 left = h
                 dt = h
                 events = 0
-                calm = alone
                 # An element coming to rest, or a law (numbered on) reaching an edge, is located in
                 # (low, high): where sign * (speed or coordinate - edge) falls through zero.
                 cut = -1
@@ -379,12 +365,11 @@ def _integrate_elements(  # type: ignore[no-untyped-def]  # noqa: C901 - one cal
                         for e in range(rubs):
                             slipped[e] = 0.0
                             rests = rests or slides[e] == 0.0
-                    whole = flat and (calm or not rests) and dt == h and not last
+                    whole = flat and not rests and dt == h and not last
                     for e in range(laws):
                         whole = whole and met[e] == 0.0 and rides[e] == 0.0
-                    mode = 1 if whole and rests else 0
                     if whole:
-                        carry(onward[mode], given, 0, first_force, ahead)
+                        carry(onward, given, 0, first_force, ahead)
                     else:
                         for i in range(m):
                             pushed[i] = linear[i, 0]
@@ -393,15 +378,15 @@ def _integrate_elements(  # type: ignore[no-untyped-def]  # noqa: C901 - one cal
                         for e in range(rubs if exact else 0):
                             for i in range(nv):
                                 pushed[i] -= friction_pulls[e, i] * friction[e, 0] * slides[e]
-                    for r in range(1 if last else (4 if forces or rests or not whole else 0)):
+                    for r in range(1 if last else (4 if forces or not whole else 0)):
                         c = 0.0 if r == 0 else (dt if r == 3 else 0.5 * dt)
-                        at = n + (r * seen if whole else 0)
+                        at = n + (r * count if whole else 0)
                         to = r * forces if whole else 0
                         if whole:
-                            for i in range(seen):
+                            for i in range(count):
                                 value = ahead[at + i]
                                 for j in range(to):
-                                    value += later[mode, r * seen + i, j] * force[j]
+                                    value += later[r * count + i, j] * force[j]
                                 ahead[at + i] = value
                         else:
                             for i in range(n):
@@ -434,18 +419,6 @@ def _integrate_elements(  # type: ignore[no-untyped-def]  # noqa: C901 - one cal
                             force,
                             to,
                         )
-                        if whole and rests:
-                            bound[0] = friction[0, 0]
-                            for e in range(laws):
-                                if law_frictions[e] == 0:
-                                    bound[0] += abs(force[to + law_places[e]])
-                                    force[to + law_places[e]] = 0.0
-                            held = ahead[at + count]
-                            for e in range(forces):
-                                held += taken[e] * force[to + e]
-                            if not abs(held) < bound[0]:
-                                calm = False
-                                break
                         if whole:
                             continue
                         for i in range(nv):
@@ -581,18 +554,16 @@ def _integrate_elements(  # type: ignore[no-untyped-def]  # noqa: C901 - one cal
                         weight = 1.0 if r == 0 or r == 3 else 2.0
                         for i in range(n):
                             total[i] = (total[i] if r else 0.0) + weight * rate[i]
-                    if whole and rests and not calm:
-                        continue  # it gets loose within the step, which is taken stage by stage
                     if not whole:
                         for i in range(n):
                             after[i] = x[i] + dt / 6.0 * total[i]
                     else:
                         if wanted and s == 0 and left == h and cut < 0:
-                            carry(onward[mode], given, first_force, given.size, ahead)
+                            carry(onward, given, first_force, given.size, ahead)
                             for i in range(m):
-                                rates[w, k, i] = ahead[n + 4 * seen + i]
+                                rates[w, k, i] = ahead[n + 4 * count + i]
                         else:
-                            carry(onward[mode], given, first_force, given.size, after)
+                            carry(onward, given, first_force, given.size, after)
                     if last or not exact or rubs + laws == 0:
                         break
                     if cut < 0 and events < MOST_EVENTS:

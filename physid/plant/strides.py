@@ -78,54 +78,6 @@ def stride_map(linear, reads, pulls, rub_pulls, friction, nv, h, rated):  # type
     return np.ascontiguousarray(found.T), later
 
 
-@kept(nogil=True, error_model="numpy")
-def stride_maps(  # type: ignore[no-untyped-def]
-    linear, reads, pulls, rub_rows, rub_pulls, friction, nv, h, rated
-):
-    """Find the map of a step, and where a rig has one friction, that of a step at which it rests.
-
-    At rest the friction takes what would accelerate it: the rig is linear then as well.  One more reading is the
-    acceleration that it takes beside that of the elements' forces, over what a unit of friction gives.
-
-    Parameters
-    ----------
-    rub_rows : (frictions, nv)
-        Of the network; the others as in :func:`stride_map`.
-
-    Returns
-    -------
-    onward, later : (maps, ...)
-        Of :func:`stride_map`, with the one more reading at each stage where there are two maps.
-    taken : (forces,)
-        What each force has of that reading.
-    """
-    one = friction.shape[0] == 1
-    seen = reads.shape[0] + (1 if one else 0)
-    shown = np.zeros((seen, reads.shape[1]))
-    shown[: reads.shape[0]] = reads
-    first, its = stride_map(linear, shown, pulls, rub_pulls, friction, nv, h, rated)
-    onward = np.empty((2 if one else 1, *first.shape))
-    later = np.empty((2 if one else 1, *its.shape))
-    onward[0], later[0] = first, its
-    taken = np.zeros(pulls.shape[0])
-    if one:
-        held, drawn = linear.copy(), pulls.copy()
-        per = 0.0
-        for i in range(nv):
-            per += rub_rows[0, i] * rub_pulls[0, i]
-        for i in range(nv):
-            _combine(rub_rows[0, i : i + 1] / per, linear[i : i + 1], shown[seen - 1])
-            for e in range(pulls.shape[0]):
-                taken[e] += rub_rows[0, i] / per * pulls[e, i]
-        for i in range(nv):
-            held[i] -= rub_pulls[0, i] * shown[seen - 1]
-            for e in range(pulls.shape[0]):
-                drawn[e, i] -= rub_pulls[0, i] * taken[e]
-        first, its = stride_map(held, shown, drawn, rub_pulls, friction, nv, h, rated)
-        onward[1], later[1] = first, its
-    return onward, later, taken
-
-
 @kept(**BORROWING)
 def _combine(shares, rows, into):  # type: ignore[no-untyped-def]
     """Add a combination of rows; most of a rig's numbers are zero."""
