@@ -1,22 +1,25 @@
 """Sensitivities of a simulation to initial states and parameters: finite differences, or tangents.
 
 Where MuJoCo simulates, a run has a tangent that costs little beside runs of its own
-(:mod:`physid.identification.nearby`); what it does not tell is simulated.
+(:mod:`physid.identification.nearby`); what it does not tell is simulated.  A compiled run is gone along once with
+all changes where there are many (:mod:`physid.plant.variation`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
 from physid.errors import DivergedError
 from physid.identification.nearby import Nearby, nearby
-from physid.identification.problem import Block, Problem, blocks_of, residuals_of
+from physid.identification.problem import Block, Problem, blocks_of, residuals_of, slopes_of
 from physid.identification.windows import state_indices
 from physid.plant.model import Model
 from physid.plant.parameter import Parameter
 
+MANY = 12
+"""Columns from which on going along one run with all of them is cheaper than a run for each."""
 STEP = 1e-4
 """Relative step of finite differences: above the kinks of friction, below the curvature."""
 
@@ -33,7 +36,7 @@ def columns_of(
 ) -> Iterator[tuple[Block, np.ndarray]]:
     """Return sensitivities of the weighted simulation, a stretch at a time.
 
-    They are finite differences, or tangents of MuJoCo's runs where there are any.
+    They are finite differences, or tangents of runs where there are any.
 
     Parameters
     ----------
@@ -41,7 +44,7 @@ def columns_of(
         At the point itself, weighted.
     central : bool
         Step the parameters both ways where their bounds allow it: parameters that act alike then have
-        columns that are alike to eight digits rather than four.  Tangents always are.
+        columns that are alike to eight digits rather than four.  Tangents always do that.
     wide : float
         Times that the parameters' steps are larger than usual.
     near : Nearby, optional
@@ -69,8 +72,13 @@ def columns_of(
     ahead = [theta + step * np.eye(p)[k] for k, step in enumerate(steps)]
     mirrored = _mirrored(problem.parameters, theta, steps) if central else []
     behind = [theta - steps[k] * np.eye(p)[k] for k in mirrored]
-    thetas = [*[theta] * len(moved), *ahead, *behind]
     sizes = np.concatenate([STEP * scales, steps])
+    points, places = [theta] * (1 + nx) + ahead, [states, *moved, *[states] * p]
+    slopes = slopes_of(problem, points, places, sizes) if nx + p >= MANY else None
+    if slopes is not None:
+        yield from _columns_along(problem, slopes, residuals)
+        return
+    thetas = [*[theta] * len(moved), *ahead, *behind]
     sizes[[nx + k for k in mirrored]] *= 2.0
     starts = [*moved, *[states] * (len(ahead) + len(behind))]
     for block, runs in blocks_of(problem, thetas, starts):
@@ -87,6 +95,21 @@ def columns_of(
             np.divide(pair.reshape(len(base), -1), sizes[nx + k], out=found[:, :, nx + k])
         _refuse_divergence(problem, found)
         yield block, found
+
+
+def _columns_along(
+    problem: Problem,
+    slopes: Iterable[tuple[Block, np.ndarray]],
+    residuals: list[np.ndarray],
+) -> Iterator[tuple[Block, np.ndarray]]:
+    """Return the columns that :func:`columns_of` does, of slopes found along one run."""
+    for block, along in slopes:
+        base = residuals[block.experiment][block.windows, block.samples]
+        found = np.empty((len(base), along.shape[1] + 1, base[0].size))
+        found[:, :-1] = along.reshape(len(base), along.shape[1], -1)
+        found[:, -1] = base.reshape(len(base), -1)
+        _refuse_divergence(problem, found)
+        yield block, found.transpose(0, 2, 1)
 
 
 def _tangent_columns(

@@ -224,28 +224,90 @@ def blocks_of(
             with_activations(plant, u, x[e], windows.starts, simulator)
             for plant, u, x in zip(row, controls, states, strict=True)
         ]
-        count = len(windows.starts)
         most = MOST_AT_ONCE if continues(row[0], simulator) else windows.samples
-        together = max(1, MOST_AT_ONCE // windows.samples)
-        for first in range(0, count, together):
-            chosen = slice(first, min(first + together, count))
-            x = [state[chosen] for state in initial]
-            for begin in range(0, windows.samples, most):
-                end = min(begin + most, windows.samples)
-                starts = windows.starts[chosen] + begin
-                more = 1 if end < windows.samples else 0
-                runs = simulator.run(row, x, controls, starts, end - begin + more)
-                index = starts[:, None] + np.arange(end - begin)
-                measured = experiment.outputs[index]
-                yield (
-                    Block(e, chosen, slice(begin, end)),
-                    [
-                        _weighted(measured, run.outputs, experiment.channels, problem.sigma)
-                        for run in runs
-                    ],
-                )
-                if more:
-                    x = [run.states[:, -1].copy() for run in runs]
+        for chosen, begin, end, more in _stretches(windows, most):
+            if not begin:
+                x = [state[chosen] for state in initial]
+            starts = windows.starts[chosen] + begin
+            runs = simulator.run(row, x, controls, starts, end - begin + more)
+            index = starts[:, None] + np.arange(end - begin)
+            measured = experiment.outputs[index]
+            yield (
+                Block(e, chosen, slice(begin, end)),
+                [
+                    _weighted(measured, run.outputs, experiment.channels, problem.sigma)
+                    for run in runs
+                ],
+            )
+            if more:
+                x = [run.states[:, -1].copy() for run in runs]
+
+
+def _stretches(windows: Windows, most: int) -> Iterator[tuple[slice, int, int, int]]:
+    """Return which windows are simulated at a time, from and to which sample, and how many samples beyond."""
+    together = max(1, MOST_AT_ONCE // windows.samples)
+    for first in range(0, len(windows.starts), together):
+        chosen = slice(first, min(first + together, len(windows.starts)))
+        for begin in range(0, windows.samples, most):
+            end = min(begin + most, windows.samples)
+            yield chosen, begin, end, int(end < windows.samples)
+
+
+def slopes_of(
+    problem: Problem,
+    thetas: Sequence[np.ndarray],
+    states: Sequence[list[np.ndarray]],
+    sizes: np.ndarray,
+) -> Iterator[tuple[Block, np.ndarray]] | None:
+    """Find how a simulation changes towards others next to it, along its one run, a stretch at a time.
+
+    Parameters
+    ----------
+    thetas, states : sequences of 1 + c
+        The point, and those next to it, each with its initial states.
+    sizes : ndarray (c,)
+        How far away each is.
+
+    Returns
+    -------
+    Iterator over (Block, ndarray (w, c, samples, ny)) or None
+        Weighted outputs per unit of the sizes; NaN where the point itself diverges.  None where a run does
+        not tell what lies next to it, see :meth:`physid.plant.simulation.Simulator.follows`.
+    """
+    plants: dict[tuple[float, bytes], Plant] = {}
+    rows = [_plants(problem, w.simulator, thetas, plants) for w in problem.windows]
+    if not all(w.simulator.follows(row) for w, row in zip(problem.windows, rows, strict=True)):
+        return None
+    return _slopes(problem, rows, states, sizes)
+
+
+def _slopes(
+    problem: Problem,
+    plants: Sequence[Sequence[Plant]],
+    states: Sequence[list[np.ndarray]],
+    sizes: np.ndarray,
+) -> Iterator[tuple[Block, np.ndarray]]:
+    for e, (windows, row) in enumerate(zip(problem.windows, plants, strict=True)):
+        simulator, experiment = windows.simulator, windows.experiment
+        controls = simulator.controls(row, experiment.inputs)
+        initial = [
+            with_activations(plant, u, x[e], windows.starts, simulator)
+            for plant, u, x in zip(row, controls, states, strict=True)
+        ]
+        for chosen, begin, end, more in _stretches(windows, MOST_AT_ONCE):
+            if not begin:
+                x = [state[chosen] for state in initial]
+            starts = windows.starts[chosen] + begin
+            run = simulator.vary(row, sizes, x, controls, starts, end - begin + more)
+            shape = (len(starts), len(sizes), end - begin, len(problem.sigma))
+            if run is None:
+                yield Block(e, chosen, slice(begin, end)), np.full(shape, np.nan)
+                break
+            outputs = run.by_changes[:, :, : end - begin, experiment.channels]
+            yield Block(e, chosen, slice(begin, end)), outputs / problem.sigma
+            if more:
+                last = run.states[:, -1]
+                x = [last, *(last + s * run.ends[:, :, k] for k, s in enumerate(sizes))]
 
 
 @kept(nogil=True)

@@ -7,7 +7,7 @@ import numpy as np
 
 from physid.plant.compiling import kept
 from physid.plant.model import Plant
-from physid.plant.network import Network, integrate
+from physid.plant.network import NO_LOG, Network, integrate
 from physid.plant.parts import read_parts
 from physid.plant.tree import invert, mass_and_bias, workspace
 
@@ -237,9 +237,8 @@ def rates_of(
     rates = np.empty((len(states), 1, len(network.linear)))
     initial, u = np.ascontiguousarray(states), np.ascontiguousarray(inputs)
     starts = np.column_stack([np.arange(len(states)), np.zeros(len(states))])
-    integrate(
-        network, exact, initial, u, starts, 1, 1, 1e-6, np.empty_like(initial)[:, None], rates
-    )
+    states = np.empty_like(initial)[:, None]
+    integrate(network, exact, initial, u, starts, 1, 1, 1e-6, states, rates, NO_LOG)
     return np.asarray(rates[:, 0])
 
 

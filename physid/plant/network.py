@@ -87,6 +87,29 @@ class Network(NamedTuple):
     planar_gravity: np.ndarray
 
 
+class Log(NamedTuple):
+    """The steps of a run as they were taken, for what goes along it afterwards.
+
+    ``numbers`` (room, 2 + n + rubs + laws): time and length of a step [s], the state before it, how
+    its frictions slide and on which sides of their edges its laws are.  ``places`` (room, 5): window, sample, row
+    of the input, what ended the step (a friction, a law numbered on, -1: nothing), and at which edge, 0 or 1.
+    ``used`` (1,): number of steps; -1 if there was no room, or a law kept a speed at an edge of its.
+    """
+
+    numbers: np.ndarray
+    places: np.ndarray
+    used: np.ndarray
+
+
+def log_of(steps: int, n: int, rubs: int, laws: int) -> Log:
+    """Make a log with room for so many steps."""
+    numbers = np.empty((steps, 2 + n + rubs + laws))
+    return Log(numbers, np.empty((steps, 5), np.int64), np.zeros(1, np.int64))
+
+
+NO_LOG = log_of(0, 0, 0, 0)
+
+
 @kept(**BORROWING)
 def _is_held(controls, first, count):  # type: ignore[no-untyped-def]
     """Say whether the inputs do not change over some steps."""
@@ -144,7 +167,7 @@ MOST_EVENTS = 24
 
 @kept(nogil=True, error_model="numpy")
 def integrate(  # type: ignore[no-untyped-def]
-    net, exact, initial, controls, starts, samples, substeps, h, states, rates
+    net, exact, initial, controls, starts, samples, substeps, h, states, rates, log
 ):
     """Integrate windows with the classical fourth-order Runge-Kutta method.
 
@@ -173,6 +196,8 @@ def integrate(  # type: ignore[no-untyped-def]
         Written; the rest of a window that diverges is NaN.
     rates : (w, samples, nv + na) or (0, 0, 0)
         Accelerations and activations' rates at the samples, written if there is room.
+    log : Log
+        Written if there is room: :data:`NO_LOG` has none, and a rig without elements writes none.
     """
     linear, friction_pulls, friction = net.linear, net.friction_pulls, net.friction
     nv, n = net.sines.shape[0], initial.shape[1]
@@ -211,12 +236,12 @@ def integrate(  # type: ignore[no-untyped-def]
         h,
         states,
         rates,
+        log,
         flat,
         reads,
         pulls,
         law_places,
-        edge_rows,
-        edge_times,
+        (edge_rows, edge_times),
         onward,
         later,
         known,
@@ -246,12 +271,12 @@ def _integrate_elements(  # type: ignore[no-untyped-def]  # noqa: C901 - one cal
     h,
     states,
     rates,
+    log,
     flat,
     reads,
     pulls,
     law_places,
-    edge_rows,
-    edge_times,
+    edges,
     onward,
     later,
     first_force,
@@ -275,7 +300,7 @@ def _integrate_elements(  # type: ignore[no-untyped-def]  # noqa: C901 - one cal
         Whether whole steps are one map: ``onward`` and ``later`` of :func:`stride_map`.
     reads, pulls, law_places : ndarray
         Of the elements; see :func:`physid.plant.elements.readings_and_pulls`.
-    edge_rows, edge_times : (laws, 1 + n), (laws,)
+    edges : (laws, 1 + n), (laws,)
         What of (1, x) and of time has a law's edges.
     given : (first_force + 4 forces,)
         What is known before a step, and then the forces at all of its stages.
@@ -287,6 +312,7 @@ def _integrate_elements(  # type: ignore[no-untyped-def]  # noqa: C901 - one cal
         Room.
     """
     linear, limits = net.linear, net.limits
+    edge_rows, edge_times = edges
     swings, springs, dampers, actuators = net.swings, net.springs, net.dampers, net.actuators
     friction_rows, friction_pulls, friction = net.friction_rows, net.friction_pulls, net.friction
     law_rows, law_rates, law_offsets = net.law_rows, net.law_rates, net.law_offsets
@@ -313,6 +339,8 @@ def _integrate_elements(  # type: ignore[no-untyped-def]  # noqa: C901 - one cal
     # Of laws with edges of a speed: the side of the edge just met, and of that on which they ride.
     sides, met, rides = of_laws[0], of_laws[1], of_laws[2]
     mass, inverse, bias = square[:nv], square[nv : 2 * nv], square[2 * nv]
+    numbers, places, used = log.numbers, log.places, log.used
+    logs = places.shape[0] > 0
     for w in range(initial.shape[0]):
         first_row = int(starts[w, 0])
         for i in range(n):
@@ -564,7 +592,24 @@ def _integrate_elements(  # type: ignore[no-untyped-def]  # noqa: C901 - one cal
                                 rates[w, k, i] = ahead[n + 4 * count + i]
                         else:
                             carry(onward, given, first_force, given.size, after)
+                    if logs and used[0] == places.shape[0]:
+                        used[0] = -1
+                    if logs and used[0] >= 0:
+                        at = used[0]
+                        numbers[at, 0], numbers[at, 1] = t, dt
+                        for i in range(n):
+                            numbers[at, 2 + i] = x[i]
+                        for e in range(rubs):
+                            numbers[at, 2 + n + e] = slides[e]
+                        for e in range(laws):
+                            numbers[at, 2 + n + rubs + e] = sides[e]
+                        places[at, 0], places[at, 1], places[at, 2] = w, k, row
+                        places[at, 3], places[at, 4] = cut, 0
+                        if cut >= rubs and edge == law_edges[cut - rubs, 1]:
+                            places[at, 4] = 1
                     if last or not exact or rubs + laws == 0:
+                        if logs and used[0] >= 0:
+                            used[0] += 1
                         break
                     if cut < 0 and events < MOST_EVENTS:
                         # Does something come to rest, or to an edge, within the step; what first?
@@ -666,8 +711,12 @@ def _integrate_elements(  # type: ignore[no-untyped-def]  # noqa: C901 - one cal
                             sides[e] = beyond
                             if law_edge_kinds[e] == 1:
                                 met[e] = 1.0 if edge == law_edges[e, 1] else -1.0
+                                if logs:
+                                    used[0] = -1
                         cut = -1
                         events += 1
+                    if logs and used[0] >= 0:
+                        used[0] += 1
                     left -= dt
                     if left <= 1e-9 * h:
                         break

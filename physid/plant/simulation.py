@@ -20,8 +20,9 @@ from physid.plant.compiling import kept
 from physid.plant.engine import simulate_engine
 from physid.plant.measuring import BETWEEN, Rollout, behind_by, read_at_samples
 from physid.plant.model import Model, Plant
-from physid.plant.network import Network, integrate
+from physid.plant.network import NO_LOG, Network, integrate
 from physid.plant.structure import Structure
+from physid.plant.variation import Varied, follows, vary
 
 Hold = Literal["zero", "first", "smooth"]
 Before = Literal["held", "zero"]
@@ -199,6 +200,56 @@ class Simulator:
             for plant, run, x in zip(plants, runs, initial, strict=True)
         ]
 
+    def follows(self, plants: Sequence[Plant]) -> bool:
+        """Say whether :meth:`vary` finds what lies next to the first of some plants, as the others do."""
+        if not self.compiled or not self.exact or any(plant.instruments for plant in plants):
+            return False
+        networks = networks_of(plants, exact=True)
+        return networks is not None and follows(networks)
+
+    def vary(
+        self,
+        plants: Sequence[Plant],
+        sizes: np.ndarray,
+        initial: Sequence[np.ndarray],
+        controls: Sequence[np.ndarray],
+        starts: np.ndarray,
+        samples: int,
+    ) -> Varied | None:
+        """Simulate windows with a plant, and find how the run changes with what others differ from it.
+
+        Parameters
+        ----------
+        plants : sequence of 1 + c Plant
+            See :meth:`follows`.
+        sizes : ndarray (c,)
+            By how much each is changed.
+        initial, controls : sequence of 1 + c ndarray
+            As in :meth:`run`, as are the other arguments.
+
+        Returns
+        -------
+        Varied or None
+            Per unit of the changes; None where the run diverges, or leaves where the plant is a network.
+        """
+        networks = networks_of(plants, exact=True)
+        assert networks is not None  # see follows
+        assert self.sensor_map is not None
+        found = vary(
+            networks,
+            sizes,
+            initial,
+            controls,
+            np.column_stack([starts * self.substeps, starts * self.dt]).astype(np.float64),
+            samples,
+            self.substeps,
+            self.step,
+            self.sensor_map,
+        )
+        if found is None or _leaves_limits(plants[0].model, found.states):
+            return None
+        return found
+
     def _begun_early(
         self,
         plants: Sequence[Plant],
@@ -272,6 +323,7 @@ class Simulator:
                 step,
                 states[k],
                 rates[k],
+                NO_LOG,
             )
 
         if self.threads > 1 and len(plants) > 1:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from physid.effects.catalogue import add_effects
-from physid.plant.network import integrate
+from physid.plant.network import NO_LOG, integrate
 from physid.plant.simulation import make_simulator, networks_of
 
 from .rigs import CART, FRICTION, PENDULUM, SERVOS, inputs_for, load_text, oscillator, ranges
@@ -50,7 +50,7 @@ def stepped(network, initial, controls, h):
         start = np.array([[t, t * h / 2]])
         states = np.empty((1, 1, x.size))
         inputs = np.repeat(u[None], t + 1, axis=0)
-        integrate(network, True, x[None].copy(), inputs, start, 1, 1, h / 2, states, rates)
+        integrate(network, True, x[None].copy(), inputs, start, 1, 1, h / 2, states, rates, NO_LOG)
         return np.concatenate([x[nv : 2 * nv], rates[0, 0]])
 
     found = [initial]
@@ -93,5 +93,6 @@ def test_a_whole_step_is_the_four_stages_one_by_one(name):
             simulator.step,
             states,
             rates,
+            NO_LOG,
         )
         assert np.abs(states[0] - expected).max() < 1e-12 * np.abs(expected).max()
