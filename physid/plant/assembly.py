@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from physid.plant.compiling import kept
+from physid.plant.compiling import kept, product
 from physid.plant.model import Plant
 from physid.plant.network import NO_LOG, Network, integrate
 from physid.plant.parts import read_parts
@@ -46,7 +46,7 @@ def assemble(parts):  # type: ignore[no-untyped-def]  # noqa: C901 - three kinds
     for i in range(nv):
         for j in range(nv):
             linear[i, 0] += inverse[i, j] * parts.gravity[j, 0]
-    spring_pulls = parts.spring_rows @ inverse
+    spring_pulls = product(parts.spring_rows, inverse)
     springs = np.zeros(len(parts.springs), np.bool_)
     for e in range(len(parts.springs)):
         offset, k, rest = parts.springs[e, 0], parts.springs[e, 1], parts.springs[e, 4]
@@ -57,7 +57,7 @@ def assemble(parts):  # type: ignore[no-untyped-def]  # noqa: C901 - three kinds
                 linear[i, 0] += spring_pulls[e, i] * k * (offset + rest)
                 for j in range(nv):
                     linear[i, 1 + j] -= spring_pulls[e, i] * k * parts.spring_rows[e, j]
-    damper_pulls = parts.damper_rows @ inverse
+    damper_pulls = product(parts.damper_rows, inverse)
     dampers = np.zeros(len(parts.dampers), np.bool_)
     for e in range(len(parts.dampers)):
         dampers[e] = parts.dampers[e, 1] != 0.0 or parts.dampers[e, 2] != 0.0
@@ -66,7 +66,7 @@ def assemble(parts):  # type: ignore[no-untyped-def]  # noqa: C901 - three kinds
             for i in range(nv):
                 for j in range(nv):
                     linear[i, 1 + nv + j] -= damper_pulls[e, i] * d * parts.damper_rows[e, j]
-    actuator_pulls = parts.actuator_rows @ inverse
+    actuator_pulls = product(parts.actuator_rows, inverse)
     actuators = np.zeros(len(parts.actuators), np.bool_)
     for e in range(len(parts.actuators)):
         a, row = parts.actuators[e], parts.actuator_rows[e]
@@ -86,13 +86,17 @@ def assemble(parts):  # type: ignore[no-untyped-def]  # noqa: C901 - three kinds
                 if act >= 0 or ctrl >= 0:
                     command = 1 + 2 * nv + (act if act >= 0 else na + ctrl)
                     linear[i, command] += actuator_pulls[e, i] * a[0]
-    sines = inverse @ np.ascontiguousarray(parts.gravity[:, 1 : 1 + nv])
-    cosines = inverse @ np.ascontiguousarray(parts.gravity[:, 1 + nv :])
+    sines = product(inverse, parts.gravity[:, 1 : 1 + nv])
+    cosines = product(inverse, parts.gravity[:, 1 + nv :])
     swings = np.zeros(nv, np.bool_)
     for j in range(nv):
         for i in range(nv):
             swings[j] = swings[j] or sines[i, j] != 0.0 or cosines[i, j] != 0.0
-    friction_pulls = parts.friction_rows @ inverse
+    friction_pulls = product(parts.friction_rows, inverse)
+    diagonals = np.zeros(len(parts.friction_rows))
+    for e in range(len(diagonals)):
+        for i in range(nv):
+            diagonals[e] += friction_pulls[e, i] * parts.friction_rows[e, i]
     return Network(
         linear,
         parts.limits,
@@ -111,10 +115,10 @@ def assemble(parts):  # type: ignore[no-untyped-def]  # noqa: C901 - three kinds
         parts.friction_rows,
         friction_pulls,
         parts.friction,
-        (friction_pulls * parts.friction_rows).sum(axis=1),
+        diagonals,
         parts.law_rows,
         parts.law_rates,
-        parts.law_directions @ inverse,
+        product(parts.law_directions, inverse),
         parts.law_offsets,
         parts.law_addresses,
         parts.law_starts,

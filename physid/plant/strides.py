@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from physid.plant.compiling import BORROWING, kept
+from physid.plant.compiling import BORROWING, kept, product
 
 TOGETHER = 4
 """Rows of the map that are summed in one go, which is several times faster than one by one."""
@@ -93,7 +93,7 @@ def several_strides(onward, n, strides):  # type: ignore[no-untyped-def]
     """Return the map (known, n) of so many steps of a rig without elements, with the same input."""
     far = onward
     for _ in range(strides - 1):
-        further = onward @ far[1 : 1 + n]
+        further = product(onward, far[1 : 1 + n])
         further[0] += far[0]
         further[1 + n :] += far[1 + n :]
         far = further
