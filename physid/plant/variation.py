@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from physid.plant.compiling import BORROWING, kept
+from physid.plant.copies import Copies, copies_of
 from physid.plant.elements import element_forces, readings_and_pulls
 from physid.plant.network import Log, Network, integrate, log_of
 from physid.plant.strides import carry, known_size, stride_map
@@ -50,9 +51,9 @@ class Strides(NamedTuple):
     """Whole steps as one map (:mod:`physid.plant.strides`), and its changes.
 
     ``onward`` and ``later`` as there, with known things before a step, then forces at its stages.  The same by
-    rows: what comes of the state ``by_state`` (r, n and padding) and of the forces ``by_forces`` (r, 4 forces and
-    padding), readings of forces at the stages before, ``by_earlier`` (4 readings, 4 forces and padding).
-    ``changes`` (known + 4 forces, r d): of the d ``changed`` ones, derivatives of the map.
+    rows, of the readings that are heard alone: what comes of the state ``by_state`` (r, n and padding) and of the
+    forces ``by_forces`` (r, 4 forces and padding), readings of forces at the stages before, ``by_earlier`` (4 heard,
+    4 forces and padding).  ``changes`` (known + 4 forces, r d): of the d ``changed`` ones, derivatives of the map.
     """
 
     onward: np.ndarray
@@ -66,22 +67,14 @@ class Strides(NamedTuple):
 
 
 class Changes(NamedTuple):
-    """How c changed networks differ from the one that runs; of what an element is, only those that do differ.
+    """How c changed networks differ from the one that runs.
 
-    The first of ``springs`` (1 + v, ...) to ``edges`` is the network itself, then come the ``own`` (v,)
-    of its changes whose elements differ, by ``sizes`` (v,).  What ``rates`` and ``readings`` are sums of is one
-    list: (1, x, u), the elements' forces, the frictions'.  ``borders`` (laws, 2, c): how edges move,
-    less what is read there; ``bounds`` (frictions, c); ``late`` (l,): changes with ``inputs`` (l, steps, nu)
-    of their own, per unit.
+    What ``rates`` and ``readings`` are sums of is one list: (1, x, u), the elements' forces, the frictions'.
+    ``borders`` (laws, 2, c): how edges move, less what is read there; ``bounds`` (frictions, c); ``late`` (l,):
+    changes with ``inputs`` (l, steps, nu) of their own, per unit.
     """
 
-    springs: np.ndarray
-    dampers: np.ndarray
-    actuators: np.ndarray
-    constants: np.ndarray
-    edges: np.ndarray
-    own: np.ndarray
-    sizes: np.ndarray
+    copies: Copies
     strides: Strides
     rates: Sums
     rates_change: Sums
@@ -94,16 +87,13 @@ class Changes(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """Where forces come from: first reading and how many (forces,), and each reading's number among its element's.
+    """Where laws are among forces and readings, and how large readings are.
 
     ``law_reads`` and ``law_places`` (laws,): numbers of their first readings and forces; ``edge_rows``
     (laws, 1 + n) and ``edge_times`` (laws,): what of (1, x) and of time has edges; ``nudges`` (readings,), whose
     signs change on the way.
     """
 
-    first: np.ndarray
-    many: np.ndarray
-    slots: np.ndarray
     law_reads: np.ndarray
     law_places: np.ndarray
     edge_rows: np.ndarray
@@ -125,8 +115,9 @@ class Room(NamedTuple):
     stage_rises: np.ndarray
     read: np.ndarray
     read_changes: np.ndarray
-    nudged: np.ndarray
+    copied: np.ndarray
     forces: np.ndarray
+    sides: np.ndarray
     states: np.ndarray
     state_changes: np.ndarray
     rubs: np.ndarray
@@ -295,7 +286,7 @@ def _changes(
     reads_change = np.zeros((*reads.shape, count))
     borders, bounds = np.zeros((laws, 2, count)), np.zeros((len(base.friction), count))
     _, _, law_reads, _ = readings_and_pulls(base)
-    own, late, inputs = [], [], []
+    late, inputs = [], []
     for k, (other, size) in enumerate(zip(networks[1:], sizes, strict=True)):
         if controls[1 + k] is not controls[0] or not np.array_equal(other.limits, base.limits):
             moved = np.clip(controls[1 + k], *other.limits.T) - np.clip(controls[0], *base.limits.T)
@@ -312,23 +303,12 @@ def _changes(
         for e in range(laws):
             if base.law_edge_kinds[e] < 2:
                 borders[e, :, k] -= reads_change[law_reads[e] + base.law_edge_kinds[e], 0, k]
-        if any(
-            not np.array_equal(a, b) for a, b in zip(_elements(base), _elements(other), strict=True)
-        ):
-            own.append(k)
     if not (np.isfinite(rates_change).all() and np.isfinite(reads_change).all()):
         return None
-    varied = [_elements(network) for network in (base, *(networks[1 + k] for k in own))]
-    springs, dampers, actuators, constants, edges = map(np.stack, zip(*varied, strict=True))
+    copies = copies_of(networks, sizes)
     return Changes(
-        springs,
-        dampers,
-        actuators,
-        constants,
-        edges,
-        np.array(own, np.int64),
-        sizes[own].astype(float),
-        _strides(networks, sizes, step, rated),
+        copies,
+        _strides(networks, sizes, copies.heard, step, rated),
         _sums(rates),
         _sums(rates_change),
         _sums(reads),
@@ -340,12 +320,9 @@ def _changes(
     )
 
 
-def _elements(net: Network) -> tuple[np.ndarray, ...]:
-    """Return what the elements of a network are: springs, dampers, actuators, laws' constants and edges."""
-    return net.springs, net.dampers, net.actuators, net.law_limits, net.law_edges
-
-
-def _strides(networks: Sequence[Network], sizes: np.ndarray, step: float, rated: bool) -> Strides:
+def _strides(
+    networks: Sequence[Network], sizes: np.ndarray, heard: np.ndarray, step: float, rated: bool
+) -> Strides:
     """Find the map of a whole step of the first network, and how it changes towards the others."""
 
     def of(net: Network) -> tuple[np.ndarray, np.ndarray]:
@@ -361,16 +338,19 @@ def _strides(networks: Sequence[Network], sizes: np.ndarray, step: float, rated:
     n = len(base.linear) + base.sines.shape[0]
     first = known_size(base.linear, len(base.friction))
     changed = [k for k, net in enumerate(networks[1:]) if net is not base]
-    changes = [(of(networks[1 + k])[0] - onward) / sizes[k] for k in changed]
-    stacked = np.stack(changes, axis=2) if changes else np.zeros((*onward.shape, 0))
+    count = len(later) // 4
+    at_stages = (count * np.arange(4)[:, None] + heard).ravel()
+    rows = np.concatenate([np.arange(n), n + at_stages, np.arange(n + 4 * count, onward.shape[1])])
+    changes = [(of(networks[1 + k])[0] - onward)[:, rows] / sizes[k] for k in changed]
+    stacked = np.stack(changes, axis=2) if changes else np.zeros((len(onward), len(rows), 0))
     width = base.linear.shape[1]
     return Strides(
         onward,
         later,
-        _padded_rows(onward[1 : 1 + n].T),
-        _padded_rows(onward[first:].T),
-        _padded_rows(later),
-        _padded_rows(onward[1 + n : width].T),
+        _padded_rows(onward[1 : 1 + n, rows].T),
+        _padded_rows(onward[first:, rows].T),
+        _padded_rows(later[at_stages]),
+        _padded_rows(onward[1 + n : width, rows].T),
         np.array(changed, np.int64),
         stacked.reshape(len(onward), -1),
     )
@@ -385,16 +365,7 @@ def _layout(net: Network, log: Log, controls: np.ndarray) -> Layout:
     """Say where a network's forces come from, and how large its readings are along a run."""
     reads, _, law_reads, law_places = readings_and_pulls(net)
     n = len(net.linear) + net.sines.shape[0]
-    lone, laws = [1] * (len(net.springs) + len(net.dampers)), net.law_memories[:, 1].tolist()
-    sizes = [(1, 2)] * len(net.swings) + [(1, 1)] * len(lone) + [(3, 1)] * len(net.actuators)
-    sizes += [(2 + memory, 1 + memory) for memory in laws]
-    first: list[int] = []
-    count: list[int] = []
-    slots: list[int] = []
-    for read, given in sizes:
-        first += [len(slots)] * given
-        count += [read] * given
-        slots += range(read)
+    laws = net.law_addresses
     edge_rows, edge_times = np.zeros((len(laws), 1 + n)), np.zeros(len(laws))
     for e, kind in enumerate(net.law_edge_kinds):
         if kind == 2:
@@ -404,9 +375,6 @@ def _layout(net: Network, log: Log, controls: np.ndarray) -> Layout:
     squares = np.zeros(len(reads))
     _add_squares(reads, log, controls, n, squares)
     return Layout(
-        np.array(first, np.int64),
-        np.array(count, np.int64),
-        np.array(slots, np.int64),
         law_reads,
         law_places,
         edge_rows,
@@ -416,32 +384,39 @@ def _layout(net: Network, log: Log, controls: np.ndarray) -> Layout:
 
 
 def _room(n: int, nv: int, layout: Layout, changes: Changes, rubs: int) -> Room:
-    forces, count = len(layout.first), len(layout.slots)
+    copies = changes.copies
+    forces, count = len(copies.plain), len(layout.nudges)
     known = 1 + n + changes.inputs.shape[2] + forces + rubs
     c = changes.bounds.shape[1]
-    most = int(layout.slots.max(initial=-1)) + 1
     strides = changes.strides
-    given, r = strides.onward.shape
+    given, ahead = strides.onward.shape
     return Room(
         np.zeros(known),
         np.zeros((known, c)),
         np.zeros(given),
-        np.zeros(r),
-        np.zeros(max(strides.changes.shape[1], 1)),
-        np.zeros((r, c)),
+        np.zeros(ahead),
+        np.zeros(strides.changes.shape[1]),
+        np.zeros((len(strides.by_state), c)),
         np.zeros((_padded(4 * forces), c)),
-        np.zeros((4, forces, max(most, 1))),
-        np.zeros((4, len(changes.own), forces)),
+        np.zeros((4, len(copies.slope_forces))),
+        np.zeros((4, len(copies.rise_forces))),
         np.zeros(count),
         np.zeros((count, c)),
-        np.zeros(count),
-        np.zeros((1 + most + len(changes.own), forces)),
+        np.zeros(len(copies.readings)),
+        np.zeros(_forces_of(copies)),
+        np.zeros(len(copies.laws)),
         np.zeros((4, n)),
         np.zeros((3, _padded(n), c)),
         np.zeros((3, rubs)),
         np.zeros((3, nv, nv)),
         np.zeros((1 + rubs, c)),
     )
+
+
+def _forces_of(copies: Copies) -> int:
+    """Return how many forces the copies give."""
+    several = 2 * len(copies.swings) + int(np.sum(1 + copies.law_memories[:, 1]))
+    return several + len(copies.springs) + len(copies.dampers) + len(copies.actuators)
 
 
 @kept(**BORROWING)
@@ -550,15 +525,16 @@ def _follow(  # type: ignore[no-untyped-def]  # noqa: C901 - one step after anot
     nv, n, nu = net.sines.shape[0], begin.shape[1], net.limits.shape[0]
     m = n - nv
     rubs, laws = net.friction.shape[0], net.law_addresses.size
-    forces, count = layout.first.size, layout.slots.size
-    swings = net.swings
-    law_addresses, law_starts, law_memories = net.law_addresses, net.law_starts, net.law_memories
+    copies, nudges = changes.copies, layout.nudges
+    forces, count, heard = copies.plain.size, nudges.size, copies.heard.size
+    plain, rise_changes = copies.plain, copies.rise_changes
+    slope_forces, slope_readings = copies.slope_forces, copies.slope_readings
+    rise_forces = copies.rise_forces
     law_frictions, law_edge_kinds = net.law_frictions, net.law_edge_kinds
     friction, friction_rows, friction_pulls = net.friction, net.friction_rows, net.friction_pulls
-    width = changes.constants.shape[1]
-    own, samples = changes.own.size, found.shape[2]
+    samples = found.shape[2]
     known, d_known = room.known, room.known_changes
-    read, d_read, nudged, force = room.read, room.read_changes, room.nudged, room.forces
+    read, d_read, copied, force = room.read, room.read_changes, room.copied, room.forces
     given, ahead, pushed, comes = room.given, room.ahead, room.pushed, room.comes
     stage_forces, stage_slopes, stage_rises = (
         room.stage_forces,
@@ -568,7 +544,6 @@ def _follow(  # type: ignore[no-untyped-def]  # noqa: C901 - one step after anot
     strides = changes.strides
     onward, later, changed_ones = strides.onward, strides.later, strides.changed
     first_force, width_known = given.size - 4 * forces, net.linear.shape[1]
-    slots, nudges = force.shape[0] - 1 - own, layout.nudges
     rate, total, before = room.states[0], room.states[1], room.states[2]
     d_rate, d_total, d_state = room.state_changes[0], room.state_changes[1], room.state_changes[2]
     rub, bound, held = room.rubs[0], room.rubs[1], room.rubs[2]
@@ -633,42 +608,43 @@ def _follow(  # type: ignore[no-untyped-def]  # noqa: C901 - one step after anot
                         nudge = abs(nudges[i])
                         beyond = sides[e] == 0.0 and read[i] + nudge > net.law_edges[e, 1]
                         nudges[i] = -nudge if beyond or sides[e] < 0.0 else nudge
-                # Forces, then with every reading of an element nudged, then as those that differ have them.
-                for v in range(1 if r == 4 else 1 + slots + own):
-                    for i in range(count):
-                        nudged[i] = read[i] + (nudges[i] if layout.slots[i] == v - 1 else 0.0)
-                    a = v - slots if v > slots else 0
-                    element_forces(
-                        nudged,
-                        0,
-                        t + c,
-                        True,
-                        sides,
-                        slides,
-                        swings,
-                        changes.springs[a],
-                        changes.dampers[a],
-                        changes.actuators[a],
-                        law_addresses,
-                        law_starts,
-                        changes.constants.ctypes.data + 8 * width * a,
-                        law_frictions,
-                        changes.edges[a],
-                        law_edge_kinds,
-                        law_memories,
-                        force[v],
-                        0,
-                    )
-                for e in range(forces if r < 4 else 0):
-                    for j in range(layout.many[e]):
-                        rise = force[1 + j, e] - force[0, e]
-                        stage_slopes[r, e, j] = rise / nudges[layout.first[e] + j]
-                    for v in range(own):
-                        rise = force[1 + slots + v, e] - force[0, e]
-                        stage_rises[r, v, e] = rise / changes.sizes[v]
+                for i in range(copied.size):
+                    copied[i] = read[copies.readings[i]]
+                for p in range(copies.nudged.size):
+                    i = copies.nudged[p]
+                    copied[i] += nudges[copies.readings[i]]
+                for e in range(room.sides.size):
+                    room.sides[e] = sides[copies.laws[e]]
+                element_forces(
+                    copied,
+                    0,
+                    t + c,
+                    True,
+                    room.sides,
+                    slides,
+                    copies.swings,
+                    copies.springs,
+                    copies.dampers,
+                    copies.actuators,
+                    copies.law_addresses,
+                    copies.law_starts,
+                    copies.law_constants.ctypes.data,
+                    copies.law_frictions,
+                    copies.law_edges,
+                    copies.law_edge_kinds,
+                    copies.law_memories,
+                    force,
+                    0,
+                )
+                for p in range(slope_forces.size if r < 4 else 0):
+                    rise = force[copies.slope_ends[p]] - force[plain[slope_forces[p]]]
+                    stage_slopes[r, p] = rise / nudges[slope_readings[p]]
+                for p in range(rise_forces.size if r < 4 else 0):
+                    rise = force[copies.rise_ends[p]] - force[plain[rise_forces[p]]]
+                    stage_rises[r, p] = rise / copies.rise_sizes[p]
                 if whole:
                     for e in range(forces):
-                        given[first_force + r * forces + e] = force[0, e]
+                        given[first_force + r * forces + e] = force[plain[e]]
                     continue
                 for e in range(rubs):
                     bound[e] = friction[e, 0]
@@ -676,10 +652,10 @@ def _follow(  # type: ignore[no-untyped-def]  # noqa: C901 - one step after anot
                     if slides[e] == 0.0:
                         known[r_at + e] = -rub[e]
                 for e in range(forces):
-                    known[f_at + e] = force[0, e]
+                    known[f_at + e] = force[plain[e]]
                 for e in range(laws):
                     if law_frictions[e] >= 0 and slides[law_frictions[e]] == 0.0:
-                        bound[law_frictions[e]] += abs(force[0, layout.law_places[e]])
+                        bound[law_frictions[e]] += abs(force[plain[layout.law_places[e]]])
                         known[f_at + layout.law_places[e]] = 0.0
                 for i in range(nv):
                     rate[i] = known[x_at + nv + i]
@@ -735,16 +711,16 @@ def _follow(  # type: ignore[no-untyped-def]  # noqa: C901 - one step after anot
                     _add_rows(changes.readings, i, d_known, d_read[i])
                     _add_changes(changes.readings_change, i, known, d_read[i])
                 for e in range(forces):
-                    first = layout.first[e]
-                    into = d_known[f_at + e]
-                    into[:] = 0.0
-                    for j in range(layout.many[e]):
-                        slope = stage_slopes[r, e, j]
-                        if slope != 0.0:
-                            for k in range(into.size):
-                                into[k] += slope * d_read[first + j, k]
-                    for v in range(own):
-                        into[changes.own[v]] += stage_rises[r, v, e]
+                    d_known[f_at + e] = 0.0
+                for p in range(slope_forces.size):
+                    slope = stage_slopes[r, p]
+                    if slope != 0.0:
+                        for k in range(d_instant.size):
+                            d_known[f_at + slope_forces[p], k] += (
+                                slope * d_read[slope_readings[p], k]
+                            )
+                for p in range(rise_forces.size):
+                    d_known[f_at + rise_forces[p], rise_changes[p]] += stage_rises[r, p]
                 for e in range(rubs):
                     into = d_known[r_at + e]
                     sign = slides[e]
@@ -759,7 +735,7 @@ def _follow(  # type: ignore[no-untyped-def]  # noqa: C901 - one step after anot
                     place = layout.law_places[e]
                     if held[partner] == 0.0:
                         sign = -1.0 if rub[partner] > 0.0 else 1.0
-                        sign *= np.sign(force[0, place])
+                        sign *= np.sign(force[plain[place]])
                         for k in range(d_instant.size):
                             d_known[r_at + partner, k] += sign * d_known[f_at + place, k]
                     d_known[f_at + place] = 0.0
@@ -799,7 +775,7 @@ def _follow(  # type: ignore[no-untyped-def]  # noqa: C901 - one step after anot
                             + d * strides.changes[j + 3, i]
                         )
                 for i in range(comes.shape[0]):
-                    if i >= n + 4 * count and not fresh:
+                    if i >= n + 4 * heard and not fresh:
                         break
                     comes[i] = 0.0
                     _add_mixed(strides.by_state[i], d_state, comes[i])
@@ -810,29 +786,32 @@ def _follow(  # type: ignore[no-untyped-def]  # noqa: C901 - one step after anot
                             share = strides.by_input[i, j]
                             comes[i, changes.late[k]] += share * changes.inputs[k, row, j]
                 for r in range(4 if forces else 0):
-                    for i in range(count):
-                        at = n + r * count + i
+                    for i in range(heard):
+                        at = n + r * heard + i
                         for j in range(r * forces):
-                            share = strides.by_earlier[r * count + i, j]
+                            share = strides.by_earlier[r * heard + i, j]
                             if share != 0.0:
                                 for k in range(d_instant.size):
                                     comes[at, k] += share * stage_forces[j, k]
                     for e in range(forces):
-                        into = stage_forces[r * forces + e]
-                        into[:] = 0.0
-                        at = n + r * count + layout.first[e]
-                        for j in range(layout.many[e]):
-                            slope = stage_slopes[r, e, j]
-                            if slope != 0.0:
-                                for k in range(into.size):
-                                    into[k] += slope * comes[at + j, k]
-                        for v in range(own):
-                            into[changes.own[v]] += stage_rises[r, v, e]
+                        stage_forces[r * forces + e] = 0.0
+                    for p in range(slope_forces.size):
+                        slope = stage_slopes[r, p]
+                        if slope != 0.0:
+                            e, i = (
+                                r * forces + slope_forces[p],
+                                n + r * heard + copies.slope_rows[p],
+                            )
+                            for k in range(d_instant.size):
+                                stage_forces[e, k] += slope * comes[i, k]
+                    for p in range(rise_forces.size):
+                        e = r * forces + rise_forces[p]
+                        stage_forces[e, rise_changes[p]] += stage_rises[r, p]
                 for i in range(n):
                     _add_mixed(strides.by_forces[i], stage_forces, comes[i])
                 if fresh:
                     for i in range(m if rated else 0):
-                        at = n + 4 * count + i
+                        at = n + 4 * heard + i
                         _add_mixed(strides.by_forces[at], stage_forces, comes[at])
                         for k in range(d_instant.size):
                             d_rate[nv + i, k] = comes[at, k]
