@@ -33,7 +33,7 @@ import typer  # noqa: E402
 from rich.console import Console  # noqa: E402
 from rich.table import Table  # noqa: E402
 
-PARTS = ("fits", "diagnosis", "arm", "growth", "chains", "threads", "starts")
+PARTS = ("fits", "diagnosis", "arm", "growth", "columns", "chains", "threads", "starts")
 WITH_PEER = {"fits", "diagnosis", "arm"}
 
 
@@ -54,6 +54,7 @@ def picture(outcome: studies.Outcome) -> go.Figure:
 def show(console: Console, outcome: studies.Outcome) -> None:
     """Print the tables and the figures."""
     tables = {**outcome.tables, "figures": outcome.figures}
+    tables = {title: rows for title, rows in tables.items() if rows}
     for title, rows in tables.items():
         table = Table(title=title)
         for column in rows[0]:
@@ -98,6 +99,7 @@ def main(
         "diagnosis": lambda: studies.diagnosis(outcome, seed, turns, say),
         "arm": lambda: studies.arm_diagnosis(outcome, seed, say),
         "growth": lambda: studies.growth(outcome, seed, 10.0 if small else 1000.0, say),
+        "columns": lambda: studies.columns(outcome, seed, turns, say),
         "chains": lambda: studies.chains(outcome, seed, (2, 4) if small else (2, 4, 8, 12), say),
         "threads": lambda: studies.threads(outcome, seed, say),
         "starts": lambda: studies.cold_starts(outcome, seed, say),

@@ -13,6 +13,7 @@ from speed_problems import Rig, Run
 
 import physid
 from physid.effects.catalogue import load_model
+from physid.identification import columns
 from physid.identification.fitting import confirmed, estimated
 from physid.identification.problem import residuals_of
 from physid.identification.staged import on_whole_records
@@ -98,6 +99,25 @@ def own_runs(rig: Rig, run: Run, jobs: int, count: int = 25) -> Callable[[], obj
     states, theta = problem.states(), problem.start()
     thetas = [(1.0 + 1e-4 * k) * theta for k in range(count)]
     return lambda: residuals_of(problem, thetas, [states] * count)
+
+
+def own_columns(rig: Rig, run: Run) -> tuple[int, Callable[[bool], None]]:
+    """Return a linearisation's columns, and what finds them along one run or, if not so, by a run each."""
+    study = prepare(loaded(rig, rig.truth), [as_record(rig, run)], options(rig, rig.truth))
+    problem = on_whole_records(study.problem)
+    theta, states = problem.start(), problem.states()
+    residuals = residuals_of(problem, [theta], [states])[0]
+
+    def find(along: bool) -> None:
+        kept = columns.MANY
+        columns.MANY = 1 if along else 10**9
+        try:
+            for _ in columns.columns_of(problem, theta, states, residuals):
+                pass
+        finally:
+            columns.MANY = kept
+
+    return len(theta) + states[0].shape[1], find
 
 
 def _chi2(sigma: object, run: Run, squares: float) -> float:

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from speed_own import own_diagnosis, own_fit, own_runs
+from speed_own import own_columns, own_diagnosis, own_fit, own_runs
 from speed_peer import peer_fit
 from speed_problems import ANCHOR, ANCHOR_NONLINEAR, PENDULUM, Rig, Run, arm, chain, record
 
@@ -105,6 +105,15 @@ def hidden_anchor() -> tuple[Rig, Rig]:
     text = ANCHOR.text.replace(joint, joint + " frictionloss='{l.frictionloss}'")
     full = replace(ANCHOR, text=text, truth={**ANCHOR.truth, "l.frictionloss": 0.02})
     return full, lacking(full, "l.frictionloss")
+
+
+def rubbing_chain(n: int) -> Rig:
+    """Return a chain of masses whose first one rubs."""
+    rig, joint = chain(n, 2.0), "<joint name='j1'"
+    text = rig.text.replace(joint, joint + " frictionloss='{j1.frictionloss}'")
+    return replace(
+        rig, name=f"rubbing {rig.name}", text=text, truth={**rig.truth, "j1.frictionloss": 5.0}
+    )
 
 
 def diagnosis(outcome: Outcome, seed: int, repeats: int, say: Callable[[str], None]) -> None:
@@ -209,6 +218,28 @@ def _peak() -> float:
             if line.startswith("VmHWM:"):
                 return float(line.split()[1]) / 1024.0
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+
+
+def columns(outcome: Outcome, seed: int, repeats: int, say: Callable[[str], None]) -> None:
+    """Linearise compiled rigs along one run, and by a run for each column, turn by turn."""
+    rigs = (hidden_anchor()[0], ANCHOR_NONLINEAR, *(rubbing_chain(n) for n in (4, 8)))
+    for rig in rigs:
+        say(f"columns of {rig.name}")
+        count, find = own_columns(rig, record(rig, seed))
+        taken: dict[bool, list[float]] = {True: [], False: []}
+        for along in (True, False) * (1 + 3 * repeats):
+            begun = time.process_time()
+            find(along)
+            taken[along].append(time.process_time() - begun)
+        along_s, apart_s = (statistics.median(taken[k][1:]) for k in (True, False))
+        outcome.row(
+            "columns",
+            rig=rig.name,
+            columns=count,
+            along_s=along_s,
+            apart_s=apart_s,
+            ratio=apart_s / along_s,
+        )
 
 
 def chains(outcome: Outcome, seed: int, lengths: Sequence[int], say: Callable[[str], None]) -> None:

@@ -38,7 +38,12 @@ def test_small_fits_and_tables(scripts, monkeypatch, tmp_path, capsys):
     )
     monkeypatch.setattr(benchmark, "find_spec", lambda name: name)
     benchmark.main(
-        seed=1, repeats=1, only=["fits", "chains"], small=True, out=tmp_path, as_json=True
+        seed=1,
+        repeats=1,
+        only=["fits", "columns", "chains"],
+        small=True,
+        out=tmp_path,
+        as_json=True,
     )
     found = json.loads(capsys.readouterr().out)
     assert {"figures", "tables", "seed", "seconds"} <= set(found)

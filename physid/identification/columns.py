@@ -18,7 +18,7 @@ from physid.identification.windows import state_indices
 from physid.plant.model import Model
 from physid.plant.parameter import Parameter
 
-MANY = 10
+MANY = 14
 """Columns from which on going along one run with all of them is cheaper than a run for each."""
 STEP = 1e-4
 """Relative step of finite differences: above the kinks of friction, below the curvature."""

@@ -298,13 +298,13 @@ def _slopes(
             if not begin:
                 x = [state[chosen] for state in initial]
             starts = windows.starts[chosen] + begin
-            run = simulator.vary(row, sizes, x, controls, starts, end - begin + more)
+            asked = experiment.channels, problem.sigma
+            run = simulator.vary(row, sizes, x, controls, starts, end - begin + more, *asked)
             shape = (len(starts), len(sizes), end - begin, len(problem.sigma))
             if run is None:
                 yield Block(e, chosen, slice(begin, end)), np.full(shape, np.nan)
                 break
-            outputs = run.by_changes[:, :, : end - begin, experiment.channels]
-            yield Block(e, chosen, slice(begin, end)), outputs / problem.sigma
+            yield Block(e, chosen, slice(begin, end)), run.by_changes[:, :, : end - begin]
             if more:
                 last = run.states[:, -1]
                 x = [last, *(last + s * run.ends[:, :, k] for k, s in enumerate(sizes))]

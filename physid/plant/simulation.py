@@ -215,6 +215,8 @@ class Simulator:
         controls: Sequence[np.ndarray],
         starts: np.ndarray,
         samples: int,
+        channels: np.ndarray,
+        sigma: np.ndarray,
     ) -> Varied | None:
         """Simulate windows with a plant, and find how the run changes with what others differ from it.
 
@@ -225,7 +227,9 @@ class Simulator:
         sizes : ndarray (c,)
             By how much each is changed.
         initial, controls : sequence of 1 + c ndarray
-            As in :meth:`run`, as are the other arguments.
+            As in :meth:`run`, as are the next two arguments.
+        channels, sigma : ndarray (ny,)
+            The outputs that are asked for, and by what each is divided.
 
         Returns
         -------
@@ -244,7 +248,7 @@ class Simulator:
             samples,
             self.substeps,
             self.step,
-            self.sensor_map,
+            self.sensor_map[channels] / sigma[:, None],
         )
         if found is None or _leaves_limits(plants[0].model, found.states):
             return None

@@ -163,13 +163,11 @@ def _alike(one: Network, other: Network) -> bool:
 
 
 class Varied(NamedTuple):
-    """A run, and how it changes.
+    """A run's states (w, samples, n), and how it changes.
 
-    Outputs (w, samples, channels) and states (w, samples, n) of the run; per unit of each of c changes those of
-    the outputs (w, c, samples, channels) and of the last states (w, n, c).
+    Per unit of each of c changes those of the outputs (w, c, samples, rows) and of the last states (w, n, c).
     """
 
-    outputs: np.ndarray
     states: np.ndarray
     by_changes: np.ndarray
     ends: np.ndarray
@@ -203,8 +201,8 @@ def vary(
     samples, substeps : int
     step : float
         [s].
-    sensor_map : ndarray (channels, 1 + 3 nv)
-        See :class:`physid.plant.simulation.Simulator`.
+    sensor_map : ndarray (rows, 1 + 3 nv)
+        What is asked of positions, speeds and accelerations; see :class:`physid.plant.simulation.Simulator`.
 
     Returns
     -------
@@ -227,9 +225,6 @@ def vary(
         room *= 4
     if log.used[0] < 0 or not np.isfinite(states).all():
         return None
-    outputs = sensor_map[:, 0] + states[:, :, : 2 * nv] @ sensor_map[:, 1 : 1 + 2 * nv].T
-    if rated:
-        outputs += rates[:, :, :nv] @ sensor_map[:, 1 + 2 * nv :].T
     changes = _changes(networks, sizes, controls, step, rated)
     if changes is None:
         return None
@@ -241,7 +236,7 @@ def vary(
     begin[:, :, : len(sizes)] = np.stack(first, axis=2)
     work = _room(n, nv, layout, changes, rubs)
     _follow(base, log, changes, layout, u, begin, step, sensor_map, rated, work, by_changes, ends)
-    return Varied(outputs, states, by_changes, ends[:, :, : len(sizes)])
+    return Varied(states, by_changes, ends[:, :, : len(sizes)])
 
 
 def _padded(count: int) -> int:
@@ -518,7 +513,7 @@ def _follow(  # type: ignore[no-untyped-def]  # noqa: C901 - one step after anot
     ----------
     begin : (w, n, c)
         Changes of the states at the windows' starts.
-    found, ends : (w, changes, samples, channels), (w, n, c)
+    found, ends : (w, changes, samples, rows), (w, n, c)
         Written.
     """
     numbers, places = log.numbers, log.places
