@@ -343,11 +343,36 @@ def _best_of(
     already: tuple[Placed, ...],
     goal: float = np.inf,
 ) -> Refit | None:
-    """Fit a candidate from every start; return the best that still is the effect it is called."""
-    best: Refit | None = None
+    """Fit a candidate from every start; return the best that still is the effect it is called.
+
+    Where starts end is told on a part of the windows; then the best goes on, on all of them.
+    """
+    few = base.few
+    if few is not None and len(starts) > 1:
+        share = few.fits["long"].squares / base.fits["long"].squares
+        tried = _fitted_from(few, inner, starts, scales, rank, already, share * goal)
+        for fit in sorted(tried, key=lambda f: sum(_logs(f, few))):
+            reached = Start(fit.fitted[-1], start_of(fit.problem, fit.fits["long"].theta, inner))
+            for best in _fitted_from(base, inner, [reached], scales, rank, already, goal):
+                return best
+        return None
+    return _better(base, *_fitted_from(base, inner, starts, scales, rank, already, goal))
+
+
+def _fitted_from(
+    base: Base,
+    inner: Problem,
+    starts: Sequence[Start],
+    scales: Scales,
+    rank: int,
+    already: tuple[Placed, ...],
+    goal: float,
+) -> list[Refit]:
+    """Fit a candidate from starts; leave out what cannot be simulated or no longer is the effect it is called."""
+    done: list[Refit] = []
     for start in starts:
         trial = with_candidate(inner, (start.placed,), scales)
-        reached = goal if best is None else min(goal, best.fits["long"].squares)
+        reached = min([goal, *(f.fits["long"].squares for f in done)])
         fits = _fit_horizons(base, trial, start_of(inner, start.theta, trial), reached)
         if fits is None:
             continue
@@ -356,11 +381,11 @@ def _best_of(
         found = Refit(added=added, problem=trial, fits=fits, extra=extra, rank=rank)
         if not start.placed.effect.plausible(found.fitted[-1].values, scales):
             continue
-        best = _better(base, best, found)
+        done.append(found)
         # In a model that leaves noise alone as it is, a start tells nothing of the others.
         if base.leaves_noise(fits) and not base.leaves_noise(base.fits):
             break
-    return best
+    return done
 
 
 def _promising(
