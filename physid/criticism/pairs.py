@@ -29,6 +29,9 @@ PARTNERS = 3
 PROMISES = 0.4
 """Share of what a single leaves beyond noise, on some ground, that a partner must promise to gain.  Right
 ones promised 0.75 to 0.99 in fifteen pairs of fifteen: beside what is right, the missing is most of what is left."""
+FORLORN = 0.1
+"""... and below which, beside the best single, none does beside the others: whatever is missing looks like nothing
+in the catalogue.  Beside a wrong one, the effects of a pair still promised 0.3."""
 LOST = 1e3
 """Mean squares over the noise's that a single leaves from which nothing looks like itself, and no promise tells."""
 TWIN_STARTS = 2
@@ -136,7 +139,10 @@ def pairs_beside(
         goals = {h: _worth_a_pair(base, single, fits[0], h) for h in single.fits}
         promised = 0.0 if lost else PROMISES
         explaining: list[Group] = []
-        for group in screened(grounds, rest, REFITS, 1, 0.5 * promised):
+        groups = screened(grounds, rest, REFITS, 1, 0.5 * promised)
+        if not lost and not found and all(g.shares.max() < FORLORN for g in groups):
+            break
+        for group in groups:
             # Beyond the first, only what looks like one that explains all is asked: it may be the same.
             further = group.rank >= most and not any(group.is_twin(g) for g in explaining)
             if further or group.shares.max() < promised:
