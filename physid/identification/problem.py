@@ -23,7 +23,7 @@ MANY = 2
 """Plants of a problem that are compiled before it is worth knowing the family of all."""
 MOST_AT_ONCE = 20000
 """Samples that are simulated at a time: what the columns of a linearisation may take of memory."""
-MOST_FAMILIES = 64
+MOST_FAMILIES = 256
 """Families kept per MJCF; the oldest goes first."""
 
 
