@@ -248,17 +248,27 @@ def in_other_shapes(base: Base, best: Refit) -> Refit:
 
     Beside masses that are free, a lag has a minimum at half of its size, and a gap where it is not met.
     """
-    if base.leaves_noise(best.fits):
+    others = [] if base.leaves_noise(best.fits) else [*_reshaped(best.fitted)]
+    few = base.few or base
+    # Where they end is told on a part of the windows, as it is where the candidate itself does.
+    own = with_other_values(few, best, best.fitted) if others else None
+    if own is None:
         return best
-    found = best
-    for k, placed in enumerate(best.fitted):
+    goal = own.fits["long"].squares
+    foremost = _better(few, own, *(with_other_values(few, best, a, goal) for a in others))
+    if foremost is None or foremost is own:
+        return best
+    other = with_other_values(base, foremost, foremost.fitted, best.fits["long"].squares)
+    return _better(base, best, other) or best
+
+
+def _reshaped(added: Sequence[Placed]) -> Iterator[tuple[Placed, ...]]:
+    """Yield the effects with half and twice of what bends the law of one of them."""
+    for k, placed in enumerate(added):
         for c in placed.effect.coefficients:
             for factor in SHAPES if c.shape and not c.fixed and not c.instant else ():
                 values = {**placed.values, c.name: factor * placed.values[c.name]}
-                added = (*best.fitted[:k], placed.with_values(values), *best.fitted[k + 1 :])
-                other = with_other_values(base, best, added, best.fits["long"].squares)
-                found = found if other is None else _better(base, found, other) or found
-    return found
+                yield (*added[:k], placed.with_values(values), *added[k + 1 :])
 
 
 def kind_of(added: Sequence[Placed]) -> tuple[float, ...]:

@@ -37,7 +37,7 @@ def at_their_minimum(study: Study, base: Base, fits: list[Refit]) -> list[Refit]
     rivals = [f for f in fits if _rivals(f, fits[0])]
     if len(rivals) < 2:
         return fits
-    done = [_fitted_on(base, f) if any(f is r for r in rivals) else f for f in fits]
+    done = [_fitted_on(base, f, fits[0]) if any(f is r for r in rivals) else f for f in fits]
     best = ordered(base, done)[0]
     return ordered(
         base,
@@ -91,14 +91,18 @@ def _caught_up(base: Base, fit: Refit, best: Refit) -> Refit:
         others = [e.theta for h, e in fit.fits.items() if h != horizon]
         for theta in [*others, _taken_over(fit, best, horizon)]:
             with suppress(NumericsError):
-                # What does not come halfway to the best one is told from it as it is.
-                least = fits[horizon].chi2
-                goal = 0.5 * (least + min(least, best.fits[horizon].chi2))
+                goal = _halfway(fits[horizon], best, horizon)
                 states = followed(problem, theta)
                 found = minimise(problem, theta, states, iterations=12, tolerance=1e-3, goal=goal)
-                if found.chi2 < least:
-                    fits[horizon] = fit_windows(problem, found.theta, found.states)
+                if found.chi2 < goal:
+                    found = fit_windows(problem, found.theta, found.states)
+                fits[horizon] = min(fits[horizon], found, key=lambda e: e.chi2)
     return replace(fit, fits=fits)
+
+
+def _halfway(known: Estimate, best: Refit, horizon: str) -> float:
+    """Return halfway from a fit's chi2 to the best one's: what does not come there is told from it as it is."""
+    return 0.5 * (known.chi2 + min(known.chi2, best.fits[horizon].chi2))
 
 
 def _taken_over(fit: Refit, best: Refit, horizon: str) -> np.ndarray:
@@ -143,8 +147,8 @@ def _in_shorter_steps(base: Base, fit: Refit) -> Refit:
         return fit
 
 
-def _settled(base: Base, fit: Refit, horizon: str) -> Estimate:
-    """Fit a candidate on at a horizon until another step would gain next to nothing.
+def _settled(base: Base, fit: Refit, horizon: str, goal: float = np.inf) -> Estimate:
+    """Fit a candidate on at a horizon until another step would gain next to nothing, or it is too slow for a goal.
 
     Scores are told apart by shares of what is left: of much that is left more is next to nothing.
     """
@@ -152,13 +156,17 @@ def _settled(base: Base, fit: Refit, horizon: str) -> Estimate:
     problem = fit.on(base.problems[horizon].windows)
     least = min(known.chi2, float(problem.measurements()))
     tolerance = SETTLED_BY / max(least, SETTLED_BY)
-    return minimise(problem, known.theta, known.states, iterations=12, tolerance=tolerance)
+    return minimise(
+        problem, known.theta, known.states, iterations=12, tolerance=tolerance, goal=goal
+    )
 
 
-def _fitted_on(base: Base, fit: Refit) -> Refit:
+def _fitted_on(base: Base, fit: Refit, best: Refit) -> Refit:
     """Return a candidate with every horizon settled, where that leaves less."""
     fits = dict(fit.fits)
     for horizon, known in fit.fits.items():
+        goal = np.inf if fit is best else _halfway(known, best, horizon)
         with suppress(NumericsError):
-            fits[horizon] = min(known, _settled(base, fit, horizon), key=lambda e: e.chi2)
+            found = _settled(base, fit, horizon, goal)
+            fits[horizon] = min(known, found, key=lambda e: e.chi2)
     return replace(fit, fits=fits)
