@@ -104,22 +104,24 @@ def estimated(study: Study, *, from_windows: bool = True) -> tuple[Problem, Esti
     return problem, estimate, error
 
 
-def _from_windows(study: Study) -> Estimate:
+def _from_windows(study: Study, goal: float = np.inf) -> Estimate:
     """Fit long windows, then whole records; through growing ones where these are fitted far worse.
 
     Whole records that are fitted to hardly more than noise from the start need no windows; where windows
-    diverge, the start's fit is the only one.  What MuJoCo's friction leaves adds up over a record.
+    diverge, the start's fit is the only one.  What MuJoCo's friction leaves adds up over a record.  What is too
+    slow for a goal, or for what is known already, is given up.
     """
     first, enough = None, settled_squares(study.problem)
     if study.left is not None and compiled(study.problem):
         # Between friction's sticking and sliding whole records have minima in which windows do not end.
         enough = min(enough, MORE_THAN_WINDOWS * study.left * study.problem.measurements())
     with suppress(NumericsError):
-        first = fit_whole(on_whole_records(study.problem), study.theta, study.states)
+        first = fit_whole(on_whole_records(study.problem), study.theta, study.states, goal=goal)
+        goal = min(goal, first.chi2)
         if first.squares < (enough if compiled(study.problem) else FAR_WORSE * enough):
             return first
     try:
-        other = _through_windows(study)
+        other = _through_windows(study, goal)
     except NumericsError:
         if first is None:
             raise
@@ -127,17 +129,17 @@ def _from_windows(study: Study) -> Estimate:
     return other if first is None else min(first, other, key=lambda e: e.chi2)
 
 
-def _through_windows(study: Study) -> Estimate:
+def _through_windows(study: Study, goal: float) -> Estimate:
     windows = windowed(study.problem, LONG)
     near = fit_windows(windows, study.theta)
     problem = on_whole_records(study.problem)
-    estimate = fit_whole(problem, near.theta, [x[:1] for x in near.states])
+    estimate = fit_whole(problem, near.theta, [x[:1] for x in near.states], goal=goal)
     expected = near.squares / windows.measurements()
     in_pieces = any(len(w.starts) > 1 for w in problem.windows)
     if in_pieces or estimate.squares < FAR_WORSE * expected * problem.measurements():
         return estimate
     try:
-        other = fit_growing(problem, near.theta)
+        other = fit_growing(problem, near.theta, min(goal, estimate.chi2))
     except NumericsError:
         return estimate
     return min(estimate, other, key=lambda e: e.chi2)
@@ -151,7 +153,8 @@ def _from_other_shapes(study: Study, estimate: Estimate) -> Estimate:
             break
         with suppress(NumericsError):
             near = starting_point(replace(study.problem, parameters=_from(study, theta)), [theta])
-            other = _from_windows(replace(study, theta=near.theta, states=near.states))
+            begun = replace(study, theta=near.theta, states=near.states)
+            other = _from_windows(begun, estimate.chi2)
             estimate = min(estimate, other, key=lambda e: e.chi2)
     return estimate
 
@@ -166,8 +169,9 @@ def _nearer_the_model(problem: Problem, estimate: Estimate) -> Estimate:
     if not quick(problem) or all(1.0 / FAR_FROM_OWN < m < FAR_FROM_OWN for m in moved):
         return estimate
     with suppress(NumericsError):
-        other = fit_whole(problem, own)
-        if other.chi2 < estimate.chi2 + NO_WORSE:
+        goal = estimate.chi2 + NO_WORSE
+        other = fit_whole(problem, own, goal=goal)
+        if other.chi2 < goal:
             return other
     return estimate
 

@@ -52,7 +52,13 @@ def in_the_best_valley(problem: Problem, estimate: Estimate, tolerance: float) -
         for start in _valleys(problem, estimate, k):
             with suppress(NumericsError):
                 other = minimise(
-                    problem, start, estimate.states, iterations=10, tolerance=tolerance, keep=True
+                    problem,
+                    start,
+                    estimate.states,
+                    iterations=10,
+                    tolerance=tolerance,
+                    keep=True,
+                    goal=estimate.chi2,
                 )
                 estimate = min(estimate, other, key=lambda e: e.chi2)
     return estimate

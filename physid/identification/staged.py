@@ -329,10 +329,12 @@ def fit_whole(
     states: list[np.ndarray] | None = None,
     *,
     tolerance: float | None = None,
+    goal: float = np.inf,
 ) -> Estimate:
     """Fit on the whole records, from values found on windows, and from initial states if known.
 
-    The tolerance is that of :func:`tolerance_of` if none is given.
+    The tolerance is that of :func:`tolerance_of` if none is given; what is too slow for a goal is given up, as in
+    :func:`minimise`.
 
     Raises
     ------
@@ -350,7 +352,13 @@ def fit_whole(
         estimate = _fit_pieces(whole_problem, theta, states, tolerance)
     else:
         estimate = minimise(
-            whole_problem, theta, states, iterations=WHOLE, tolerance=tolerance, keep=True
+            whole_problem,
+            theta,
+            states,
+            iterations=WHOLE,
+            tolerance=tolerance,
+            keep=True,
+            goal=goal,
         )
     if not np.isfinite(estimate.chi2):
         raise ConvergenceError("The fit did not reach a finite misfit; check the model's units.")
@@ -390,12 +398,12 @@ def _fit_pieces(
     )
 
 
-def fit_growing(problem: Problem, theta: np.ndarray) -> Estimate:
+def fit_growing(problem: Problem, theta: np.ndarray, goal: float = np.inf) -> Estimate:
     """Fit windows that double in length from a sixteenth of the records, then the whole.
 
     Where a motion soon forgets its start, the misfit of a whole record has minima that windows have
     not; windows that grow lead from theirs to the right one.  Each starts from the state found for
-    the first of the two it joins.
+    the first of the two it joins.  A whole that is too slow for a goal is given up.
 
     Raises
     ------
@@ -407,7 +415,7 @@ def fit_growing(problem: Problem, theta: np.ndarray) -> Estimate:
         joined = problem.with_windows([_in_pieces(w, pieces) for w in problem.windows])
         found = minimise(joined, theta, states, iterations=20)
         theta, states = found.theta, [x[::2] for x in found.states]
-    return fit_whole(problem, theta, states)
+    return fit_whole(problem, theta, states, goal=goal)
 
 
 def _in_pieces(windows: Windows, pieces: int) -> Windows:
