@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from physid.criticism.base import HALVES, HORIZONS, NOISE_ALONE, NOISE_LIKE, Base, Split
+from physid.criticism.bent import in_two_laws
 from physid.criticism.evidence import nrmse
 from physid.criticism.grounds import Group, grounds_for, grounds_of, screened
 from physid.criticism.leads import Lead, led
@@ -185,6 +186,7 @@ def _searched(
     report("trying pairs", 0.7)
     singles = fits
     pairs = pairs_beside(base, fits, partnered, candidates, limit, scales)
+    pairs += in_two_laws(base, fits, candidates)
     if pairs:
         fits = [*fits, *pairs]
         fits = _with_siblings(base, fits, scales, _best_on_windows(base, fits))

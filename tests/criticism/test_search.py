@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physid.criticism import diagnosis, evidence, merit, pairs, rivals, search
+from physid.criticism import bent, diagnosis, evidence, merit, pairs, rivals, search
 from physid.criticism import refit as refitting
 from physid.criticism.base import Split
 from physid.criticism.grounds import Group
@@ -400,7 +400,7 @@ def test_what_a_candidate_adds_is_fitted_in_steps_short_for_it(rubbing, monkeypa
     assert rivals._in_shorter_steps(rubbing.base, found) is found
     refined = rivals.refine_steps
     monkeypatch.setattr(
-        rivals, "refine_steps", lambda p, t, x, n, share, most: refined(p, t, x, n, 0.0, 2 * n)
+        rivals, "refine_steps", lambda p, t, x, n, *_, **__: refined(p, t, x, n, 0.0, 2 * n)
     )
     finer = rivals._in_shorter_steps(rubbing.base, found)
     long = rubbing.base.problems["long"]
@@ -622,3 +622,19 @@ def test_the_parts_of_a_law_come_before_it_where_more_than_noise_is_left(monkeyp
     values[id(parts)] = -89.0
     monkeypatch.setattr(merit, "noise_like", lambda b, f: True)
     assert merit._parts_first(base, [law, parts, load]) == [law, parts, load]
+
+
+def test_a_wide_law_may_be_a_law_in_it_beside_another_of_its_family(rubbing, monkeypatch):
+    """A friction that falls over all speeds is a constant one beside drag; what leaves noise is what it is."""
+    found = refitted(rubbing)
+    wider = replace(found, added=(Placed(EFFECTS["stribeck_friction"], HINGE, {}),))
+    names = {n for n in EFFECTS if "joint" in EFFECTS[n].kinds} - {"viscous_damping"}
+    candidates = [(EFFECTS[n], HINGE) for n in sorted(names)]
+    assert bent.in_two_laws(rubbing.base, [wider, found], candidates) == []
+    monkeypatch.setattr(bent, "noise_like", lambda base, fit: False)
+    pairs = bent.in_two_laws(rubbing.base, [wider, found], candidates)
+    found_names = [[p.effect.name for p in pair.added] for pair in pairs]
+    assert found_names == [["coulomb_friction", "quadratic_drag"]]
+    assert bent.in_two_laws(rubbing.base, [found, wider], candidates) == []
+    elsewhere = replace(found, added=(replace(found.added[0], place=Place("joint", "other")),))
+    assert bent.in_two_laws(rubbing.base, [wider, elsewhere], candidates) == []
