@@ -132,11 +132,15 @@ def _within(factor: float, fit: Refit, best: Refit) -> bool:
 
 
 def _in_shorter_steps(base: Base, fit: Refit) -> Refit:
-    """Return a candidate fitted in steps that are short for what it adds: a lag may be faster than the model."""
+    """Return a candidate fitted in steps that are short for what it adds: a lag may be faster than the model.
+
+    Scores tell shares of what a candidate leaves apart: beside much of that, the same share of it is no evidence.
+    """
     long = fit.on(base.problems["long"].windows)
     known, substeps = fit.fits["long"], long.windows[0].simulator.substeps
     share = 1.0 / np.sqrt(long.measurements())
-    finer, _ = refine_steps(long, known.theta, known.states, substeps, share, FINER * substeps)
+    most = FINER * substeps
+    finer, _ = refine_steps(long, known.theta, known.states, substeps, share, most, of_misfit=1.0)
     steps = finer.windows[0].simulator.substeps
     if steps == substeps:
         return fit

@@ -30,13 +30,15 @@ def refine_steps(
     at_least: int = 1,
     share: float = SHARE,
     most: int | None = None,
+    of_misfit: float = SHARE_OF_MISFIT / SHARE,
 ) -> tuple[Problem, float]:
     """Choose the number of RK4 steps per sample so that integration error does not matter.
 
     Halves the step until halving it once more changes the simulated outputs by less than ``share`` of
-    the noise (or a hundredth of the misfit), or there are ``most`` steps a sample.  A run that diverges is
-    not accurate, however far from the record that is.  Of pieces over which a model runs away the beginnings
-    are compared: what has grown a hundred times by their ends, the initial states take back.
+    the noise (or of ``of_misfit`` times the misfit, if that is more), or there are ``most`` steps a sample.
+    A run that diverges is not accurate, however far from the record that is.  Of pieces over which a model
+    runs away the beginnings are compared: what has grown a hundred times by their ends, the initial states
+    take back.
 
     Returns
     -------
@@ -49,8 +51,7 @@ def refine_steps(
     while True:
         # In place: the coarser run of a long record is not kept beside the finer one.
         error = _overwritten(run, with_substeps(begun, 2 * substeps), theta, states)
-        misfit = _rms(run)
-        limit = max(share, share / SHARE * SHARE_OF_MISFIT * misfit)
+        limit = share * max(1.0, of_misfit * _rms(run))
         if (np.isfinite(error) and error <= limit) or 2 * substeps > most:
             return with_substeps(problem, substeps), float(error)
         substeps *= 2

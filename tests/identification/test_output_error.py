@@ -279,6 +279,17 @@ def test_the_step_is_refined_until_it_does_not_matter():
     assert loose.windows[0].simulator.substeps == 1
 
 
+def test_beside_a_large_misfit_the_same_share_of_it_is_no_evidence():
+    problem = spring_problem(sigma=1e-7, names=(), noise=np.zeros((500, 1)), factor=1.3)
+    theta, states = np.zeros(0), [np.array([[0.02, -0.1]])]
+    steps = [
+        refine_steps(problem, theta, states, share=0.01, of_misfit=part)[0].windows[0].simulator
+        for part in (0.0, 0.1, 1.0)
+    ]
+    assert [s.substeps for s in steps] == sorted((s.substeps for s in steps), reverse=True)
+    assert steps[0].substeps > steps[-1].substeps
+
+
 def test_a_step_at_which_runs_diverge_is_refined():
     # A natural frequency of 1e3 rad/s: RK4 diverges at 10 ms and at 5 ms.
     problem = spring_problem(names=(), noise=np.zeros((500, 1)))
