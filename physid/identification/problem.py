@@ -174,23 +174,23 @@ def with_activations(
     return np.hstack([motion, activations])
 
 
-def state_after(
-    problem: Problem, experiment: int, window: int, state: np.ndarray, samples: int
+def states_after(
+    problem: Problem, experiment: int, rows: np.ndarray, states: np.ndarray, samples: int
 ) -> np.ndarray:
-    """Return the state (nq + nv + memory,) of a model without parameters so many samples after a window begins."""
-    windows = problem.windows[experiment].take(np.array([window]))
+    """Return the states (w, nq + nv + memory) of a model without parameters so many samples after windows begin."""
+    windows = problem.windows[experiment].take(rows)
     simulator, model = windows.simulator, problem.model
     plant = problem.plant(np.zeros(0), simulator.step)
     controls = simulator.controls([plant], windows.experiment.inputs)
-    full = with_activations(plant, controls[0], state[None], windows.starts, simulator)
-    end = simulator.run([plant], [full], controls, windows.starts, samples + 1)[0].states[0, -1]
+    full = with_activations(plant, controls[0], states, windows.starts, simulator)
+    ends = simulator.run([plant], [full], controls, windows.starts, samples + 1)[0].states[:, -1]
     moving = model.structure.nq + model.structure.nv
     own = [
         moving + element.activation + k
         for element in plant.elements
         for k in range(len(element.memory))
     ]
-    return np.asarray(end[[*range(moving), *own]])
+    return np.asarray(ends[:, [*range(moving), *own]])
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from physid.identification.estimate import Estimate
 from physid.identification.force_balance import POINTS, observable, solve_balance, widths
 from physid.identification.linearisation import Reduced, reduce
 from physid.identification.output_error import minimise
-from physid.identification.problem import Problem, residuals_of, state_after
+from physid.identification.problem import Problem, residuals_of, states_after
 from physid.identification.windows import (
     Span,
     Windows,
@@ -529,13 +529,14 @@ def _handed_over(
     windows = frozen.windows[e]
     order = np.argsort(windows.starts)
     rank = np.argsort(order)
-    rows, guesses = [], []
-    for row in odd:
-        known = order[rank[row] - 1] if rank[row] else row
-        gap = int(windows.starts[row] - windows.starts[known])
-        if known not in odd and gap <= FARTHEST_OVER * windows.samples:
-            guesses.append(state_after(frozen, e, int(known), states[known], gap))
-            rows.append(row)
-    kept = [k for k, x in enumerate(guesses) if np.isfinite(x).all()]
-    width = states.shape[1]
-    return np.array(rows, int)[kept], np.reshape([guesses[k] for k in kept], (-1, width))
+    rows = odd[rank[odd] > 0]
+    before = order[rank[rows] - 1]
+    gaps = windows.starts[rows] - windows.starts[before]
+    near = ~np.isin(before, odd) & (gaps <= FARTHEST_OVER * windows.samples)
+    rows, before, gaps = rows[near], before[near], gaps[near]
+    guesses = np.full((len(rows), states.shape[1]), np.nan)
+    for gap in np.unique(gaps):
+        alike = gaps == gap
+        guesses[alike] = states_after(frozen, e, before[alike], states[before[alike]], int(gap))
+    finite = np.isfinite(guesses).all(axis=1)
+    return rows[finite], guesses[finite]

@@ -27,7 +27,7 @@ from physid.identification.problem import (
     Block,
     Problem,
     residuals_of,
-    state_after,
+    states_after,
 )
 
 WIDEST = 400
@@ -123,7 +123,9 @@ def _within_reach(problem: Problem, estimate: Estimate) -> tuple[Problem, Estima
         windows, states = [], []
         for e, w in enumerate(problem.windows):
             half = w.samples // 2
-            ends = [state_after(frozen, e, k, x, half) for k, x in enumerate(estimate.states[e])]
+            ends = states_after(
+                frozen, e, np.arange(len(estimate.states[e])), estimate.states[e], half
+            )
             starts = np.stack([w.starts, w.starts + half], axis=1).ravel()
             windows.append(replace(w, starts=starts, samples=half))
             states.append(np.stack([estimate.states[e], ends], axis=1).reshape(len(starts), -1))
