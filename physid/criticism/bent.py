@@ -50,7 +50,8 @@ def _others(
 ) -> Iterator[tuple[Effect, Place]]:
     """Yield what stands beside a single to make up a law that contains it, of no more coefficients in all."""
     law, wide = single.added[0], own.effect
-    if len(single.added) > 1 or law.place != own.place or law.effect.name not in wide.supersedes:
+    within = law.place == own.place and law.effect.name in wide.supersedes
+    if len(single.added) > 1 or not within or law.effect.family != wide.family:
         return
     most = len(wide.coefficients) - len(law.effect.coefficients)
     for effect, place in candidates:

@@ -108,7 +108,7 @@ def diagnose_study(
     def report(stage: str, share: float) -> None:
         study.options.report(stage, span[0] + (span[1] - span[0]) * share)
 
-    study = sharpened(study)
+    rough, study = study, sharpened(study)
     possible = possible_leads(study, leads)
     report("fitting the model as it stands", 0.0)
     base = base_of(study, known)
@@ -125,6 +125,7 @@ def diagnose_study(
         lambda stage, share: report(stage, 0.1 + 0.8 * share),
         possible,
         singly=beside,
+        rough=rough,
     )
     report("judging on data not used for the choice", 0.9)
     ranked = _ranked(base, judging, fits, max(tried, 1))

@@ -154,7 +154,7 @@ def pairs_beside(
             explaining += [group] if noise_like(base, pair) else []
             known = any(frozenset(f.sites()) == frozenset(pair.sites()) for f in found)
             if not known and any(halves(base, single, pair, h) for h in base.fits):
-                found.append(_ordered(base, pair, fits))
+                found.append(in_order(base, pair, fits))
         if any(noise_like(base, pair, NOISE_ALONE) for pair in found):
             break  # no pair from a worse single can do better
     return found
@@ -260,7 +260,7 @@ def exchanged(
             if values[other_site] > LIKE * values[site] or placed.place not in scales:
                 continue
             other = _exchanged_for(base, pair, own, [placed], scales[placed.place])
-            found += [] if other is None else [_ordered(base, with_block(base, other), singles)]
+            found += [] if other is None else [in_order(base, with_block(base, other), singles)]
     known = {frozenset(f.sites()) for f in [pair, *found]}
     for own in pair.fitted if noise_like(base, pair) else ():
         for group in _twins_beside(base, pair, own, candidates):
@@ -272,7 +272,7 @@ def exchanged(
                 continue
             starts = [s.placed for s in group.starts]
             other = _exchanged_for(base, pair, own, starts, group.scales)
-            found += [] if other is None else [_ordered(base, with_block(base, other), singles)]
+            found += [] if other is None else [in_order(base, with_block(base, other), singles)]
     return found
 
 
@@ -316,7 +316,7 @@ def _worth_a_pair(base: Base, single: Refit, best: Refit, horizon: str) -> float
     return min(halved, best.fits[horizon].squares)
 
 
-def _ordered(base: Base, pair: Refit, singles: Sequence[Refit]) -> Refit:
+def in_order(base: Base, pair: Refit, singles: Sequence[Refit]) -> Refit:
     """Put the effect first that does more for whole stretches by itself."""
     horizon = "block" if "block" in base.fits else "long"
     alone = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +23,14 @@ from physid.criticism.merit import (
     scores,
     sorted_by_score,
 )
-from physid.criticism.pairs import PARTNERS, REFITS, exchanged, pairs_beside, wanting_partners
+from physid.criticism.pairs import (
+    PARTNERS,
+    REFITS,
+    exchanged,
+    in_order,
+    pairs_beside,
+    wanting_partners,
+)
 from physid.criticism.refit import (
     Refit,
     Start,
@@ -41,6 +49,7 @@ from physid.errors import NumericsError
 from physid.identification.accuracy import refine_steps, with_substeps
 from physid.identification.estimate import Estimate
 from physid.identification.linearisation import reduce
+from physid.identification.output_error import minimise
 from physid.identification.problem import Problem
 from physid.identification.sizes import scales_of
 from physid.identification.staged import (
@@ -74,6 +83,9 @@ MUCH_LONGER = 1.5
 """Length of whole stretches over that of long windows from which they are a horizon of their own."""
 FAR_FROM_NAMED = 0.7
 """Share of what the model leaves beyond noise, of which the best candidate removes less where nothing will be named."""
+OUTWEIGHED = 0.1
+"""Share of what the best candidate leaves, in squares, that errors of a study's own steps make at most for a search
+in these to stand."""
 SAME = 10.0
 """Difference of the information criterion within which two fits of one law end."""
 
@@ -86,6 +98,7 @@ def search(
     leads: Sequence[Lead] = (),
     *,
     singly: bool = False,
+    rough: Study | None = None,
 ) -> list[Refit]:
     """Screen all candidates, refit the promising ones, and pair those that need a partner.
 
@@ -101,13 +114,17 @@ def search(
         Refitted first, from where they stand.
     singly : bool
         Whether no pairs are looked for, because what is found will be looked beside again.
+    rough : Study, optional
+        The study in longer steps, in which the search is tried first where short ones are dear.
 
     Returns
     -------
     list of Refit
         Best first, those that rival the best at their minimum.
     """
-    fits = _searched(study, base, candidates, report, leads, singly)
+    how = (candidates, report, leads, singly)
+    fits = _searched_roughly(study, rough, base, how) if rough is not None else []
+    fits = fits or _searched(study, base, *how)
     if fits:
         long = base.problems["long"]
         sizes = scales_of(long, base.fits["long"]) if _has_kinds(fits[0]) else {}
@@ -117,6 +134,39 @@ def search(
         fits = at_their_minimum(study, base, fits)
     kept = windowed(study.problem, HORIZONS["long"], base.split.judging)
     return [between_stretches(f, kept) if len(f.added) > 1 else f for f in fits]
+
+
+def _searched_roughly(study: Study, rough: Study, base: Base, how: tuple[Any, ...]) -> list[Refit]:
+    """Search in steps that take at least :data:`FINER` of the study's; empty where their errors would tell.
+
+    They do beside noise alone, and do not beside what leaves many times as much.  What is found is fitted on in
+    the study's steps, in which it is compared.
+    """
+    errors = rough.integration_error**2 / OUTWEIGHED
+    dear = study.simulator.substeps >= FINER * rough.simulator.substeps
+
+    def outweighed(squares: float) -> bool:
+        return squares > errors * base.problems["long"].measurements()
+
+    if not dear or not outweighed(base.fits["long"].squares):
+        return []
+    with suppress(NumericsError):
+        found = _searched(rough, base_of(rough, base.fits, base.split), *how)
+        if all(outweighed(f.fits["long"].squares) for f in found):
+            return ordered(base, [_in_steps_of(base, f) for f in found])
+    return []
+
+
+def _in_steps_of(base: Base, fit: Refit) -> Refit:
+    """Return a candidate fitted on in the steps of a base."""
+    substeps = base.problems["long"].windows[0].simulator.substeps
+    problem = with_substeps(fit.problem, substeps)
+    moved = replace(fit, problem=problem)
+    fits = {
+        h: minimise(moved.on(base.problems[h].windows), e.theta, e.states, tolerance=2e-3)
+        for h, e in fit.fits.items()
+    }
+    return replace(moved, fits=fits)
 
 
 def _has_kinds(fit: Refit) -> bool:
@@ -200,7 +250,9 @@ def _searched(
         fits = [f for f in fits if len(f.added) == 1 or not set(enough) & set(f.sites())]
         return _best_with_blocks(base, _better_of([*fits, *alone], base), scales)
     others = exchanged(base, fits[0], singles, scales, candidates)
-    return _best_with_blocks(base, _better_of([*fits, *alone, *others], base), scales)
+    # What nothing led to by itself is known alone only now.
+    fits = [in_order(base, f, [*alone, *singles]) for f in [*fits, *alone, *others]]
+    return _best_with_blocks(base, _better_of(fits, base), scales)
 
 
 def _leaves_noise(base: Base, fit: Refit) -> bool:

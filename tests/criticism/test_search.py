@@ -22,6 +22,7 @@ from physid.criticism.refit import (
 )
 from physid.effects.catalogue import CATALOGUE
 from physid.errors import DivergedError
+from physid.identification.accuracy import with_substeps
 from physid.identification.problem import residuals_of
 from physid.identification.screening import scales_of, screen, shortlist
 from physid.identification.staged import vanished
@@ -638,3 +639,30 @@ def test_a_wide_law_may_be_a_law_in_it_beside_another_of_its_family(rubbing, mon
     assert bent.in_two_laws(rubbing.base, [found, wider], candidates) == []
     elsewhere = replace(found, added=(replace(found.added[0], place=Place("joint", "other")),))
     assert bent.in_two_laws(rubbing.base, [wider, elsewhere], candidates) == []
+
+
+def test_dear_short_steps_wait_until_what_is_left_is_known(rubbing, monkeypatch):
+    """Errors of long steps tell beside noise and not beside what leaves many times as much."""
+    study, base = rubbing.study, rubbing.base
+    found = with_block(base, refitted(rubbing))
+    fine = replace(study, problem=with_substeps(study.problem, 4))
+    finer = replace(base, problems={h: with_substeps(p, 4) for h, p in base.problems.items()})
+    monkeypatch.setattr(search, "_searched", lambda *a: [found])
+    monkeypatch.setattr(search, "base_of", lambda *a: base)
+
+    def told(errors, study=fine):
+        rough = replace(rubbing.study, integration_error=errors)
+        return search._searched_roughly(study, rough, finer, ())
+
+    one = told(0.01)[0]
+    assert one.problem.windows[0].simulator.substeps == 4
+    assert one.fits["long"].squares == pytest.approx(found.fits["long"].squares, rel=0.02)
+    assert told(1.0) == []
+    assert told(0.01, rubbing.study) == []
+
+
+def test_of_a_pair_comes_first_what_does_more_over_whole_stretches(rubbing):
+    found = refitted(rubbing)
+    drag = Placed(EFFECTS["quadratic_drag"], HINGE, {})
+    pair = replace(found, added=(drag, *found.added))
+    assert pairs.in_order(rubbing.base, pair, [with_block(rubbing.base, found)]).added[1] == drag
