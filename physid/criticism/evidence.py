@@ -118,8 +118,8 @@ def judge(judging: Mapping[str, Bench], candidate: Refit) -> Judgement:
     """
     p_values: dict[str, float] = {}
     shown: dict[str, tuple[Problem, Estimate, Estimate]] = {}
-    for horizon, bench in judging.items():
-        if horizon not in candidate.fits:
+    for horizon, bench in sorted(judging.items(), key=lambda known: known[0] == "short"):
+        if horizon not in candidate.fits or (horizon == "short" and shown):
             continue
         try:
             after, t = _compare(bench, candidate, horizon)
@@ -134,7 +134,7 @@ def judge(judging: Mapping[str, Bench], candidate: Refit) -> Judgement:
         )
     problem, before, after = shown.get("long") or next(iter(shown.values()))
     return Judgement(
-        p_value=combined([p for h, p in p_values.items() if h != "short"] or [*p_values.values()]),
+        p_value=combined([*p_values.values()]),
         squares_before=before.squares,
         squares_after=after.squares,
         before=nrmse(problem, before),
