@@ -26,12 +26,14 @@ from physid.criticism.merit import (
 from physid.criticism.pairs import (
     PARTNERS,
     REFITS,
+    STILL_FAR,
     exchanged,
     in_order,
     pairs_beside,
     wanting_partners,
 )
 from physid.criticism.refit import (
+    ROOM,
     Refit,
     Start,
     in_other_kinds,
@@ -42,7 +44,7 @@ from physid.criticism.refit import (
     with_block,
     without_partner,
 )
-from physid.criticism.rivals import FINER, at_their_minimum
+from physid.criticism.rivals import CONTENDING, FINER, at_their_minimum
 from physid.criticism.timing import between_stretches
 from physid.effects.catalogue import effects_of
 from physid.errors import NumericsError
@@ -83,9 +85,9 @@ MUCH_LONGER = 1.5
 """Length of whole stretches over that of long windows from which they are a horizon of their own."""
 FAR_FROM_NAMED = 0.7
 """Share of what the model leaves beyond noise, of which the best candidate removes less where nothing will be named."""
-OUTWEIGHED = 0.1
+OUTWEIGHED = 0.2
 """Share of what the best candidate leaves, in squares, that errors of a study's own steps make at most for a search
-in these to stand."""
+in these to stand: by less no effect earns a place."""
 SAME = 10.0
 """Difference of the information criterion within which two fits of one law end."""
 
@@ -124,11 +126,7 @@ def search(
     """
     how = (candidates, report, leads, singly)
     fits = _searched_roughly(study, rough, base, how) if rough is not None else []
-    fits = fits or _searched(study, base, *how)
-    if fits:
-        long = base.problems["long"]
-        sizes = scales_of(long, base.fits["long"]) if _has_kinds(fits[0]) else {}
-        fits[0] = in_other_kinds(base, in_other_shapes(base, fits[0]), sizes)
+    fits = fits or _found(study, base, how)
     far = not singly and fits and not noise_like(base, fits[0])
     if not far or explained(base, fits[0]) >= FAR_FROM_NAMED:
         fits = at_their_minimum(study, base, fits)
@@ -139,10 +137,10 @@ def search(
 def _searched_roughly(study: Study, rough: Study, base: Base, how: tuple[Any, ...]) -> list[Refit]:
     """Search in steps that take at least :data:`FINER` of the study's; empty where their errors would tell.
 
-    They do beside noise alone, and do not beside what leaves many times as much.  What is found is fitted on in
+    They do beside noise alone, and do not beside what leaves many times as much.  What contends is fitted on in
     the study's steps, in which it is compared.
     """
-    errors = rough.integration_error**2 / OUTWEIGHED
+    errors = max(rough.integration_error**2 / OUTWEIGHED, STILL_FAR)
     dear = study.simulator.substeps >= FINER * rough.simulator.substeps
 
     def outweighed(squares: float) -> bool:
@@ -151,10 +149,26 @@ def _searched_roughly(study: Study, rough: Study, base: Base, how: tuple[Any, ..
     if not dear or not outweighed(base.fits["long"].squares):
         return []
     with suppress(NumericsError):
-        found = _searched(rough, base_of(rough, base.fits, base.split), *how)
-        if all(outweighed(f.fits["long"].squares) for f in found):
-            return ordered(base, [_in_steps_of(base, f) for f in found])
+        began = base_of(rough, base.fits, base.split)
+        found = _found(rough, began, how)
+        # What gains nothing need not be compared.
+        found = [f for f in found if min(f.ratio(began, h) for h in f.fits) < ROOM] or found[:1]
+        least = min((f.fits["long"].squares for f in found), default=0.0)
+        if outweighed(least):
+            near = [f.fits["long"].squares < CONTENDING * least for f in found]
+            moved = [_in_steps_of(base, f) if n else f for f, n in zip(found, near, strict=True)]
+            return ordered(base, moved)
     return []
+
+
+def _found(study: Study, base: Base, how: tuple[Any, ...]) -> list[Refit]:
+    """Search, and try the best one in other kinds and shapes."""
+    fits = _searched(study, base, *how)
+    if fits:
+        long = base.problems["long"]
+        sizes = scales_of(long, base.fits["long"]) if _has_kinds(fits[0]) else {}
+        fits[0] = in_other_kinds(base, in_other_shapes(base, fits[0]), sizes)
+    return fits
 
 
 def _in_steps_of(base: Base, fit: Refit) -> Refit:
