@@ -44,14 +44,13 @@ from physid.criticism.refit import (
     with_block,
     without_partner,
 )
-from physid.criticism.rivals import CONTENDING, FINER, at_their_minimum
+from physid.criticism.rivals import FINER, at_their_minimum
 from physid.criticism.timing import between_stretches
 from physid.effects.catalogue import effects_of
 from physid.errors import NumericsError
 from physid.identification.accuracy import refine_steps, with_substeps
 from physid.identification.estimate import Estimate
 from physid.identification.linearisation import reduce
-from physid.identification.output_error import minimise
 from physid.identification.problem import Problem
 from physid.identification.sizes import scales_of
 from physid.identification.staged import (
@@ -138,7 +137,7 @@ def _searched_roughly(study: Study, rough: Study, base: Base, how: tuple[Any, ..
     """Search in steps that take at least :data:`FINER` of the study's; empty where their errors would tell.
 
     They do beside noise alone, and do not beside what leaves many times as much.  What contends is fitted on in
-    the study's steps, in which it is compared.
+    shorter steps where rivals are compared.
     """
     errors = max(rough.integration_error**2 / OUTWEIGHED, STILL_FAR)
     dear = study.simulator.substeps >= FINER * rough.simulator.substeps
@@ -153,11 +152,8 @@ def _searched_roughly(study: Study, rough: Study, base: Base, how: tuple[Any, ..
         found = _found(rough, began, how)
         # What gains nothing need not be compared.
         found = [f for f in found if min(f.ratio(began, h) for h in f.fits) < ROOM] or found[:1]
-        least = min((f.fits["long"].squares for f in found), default=0.0)
-        if outweighed(least):
-            near = [f.fits["long"].squares < CONTENDING * least for f in found]
-            moved = [_in_steps_of(base, f) if n else f for f, n in zip(found, near, strict=True)]
-            return ordered(base, moved)
+        if all(outweighed(f.fits["long"].squares) for f in found):
+            return found
     return []
 
 
@@ -169,18 +165,6 @@ def _found(study: Study, base: Base, how: tuple[Any, ...]) -> list[Refit]:
         sizes = scales_of(long, base.fits["long"]) if _has_kinds(fits[0]) else {}
         fits[0] = in_other_kinds(base, in_other_shapes(base, fits[0]), sizes)
     return fits
-
-
-def _in_steps_of(base: Base, fit: Refit) -> Refit:
-    """Return a candidate fitted on in the steps of a base."""
-    substeps = base.problems["long"].windows[0].simulator.substeps
-    problem = with_substeps(fit.problem, substeps)
-    moved = replace(fit, problem=problem)
-    fits = {
-        h: minimise(moved.on(base.problems[h].windows), e.theta, e.states, tolerance=2e-3)
-        for h, e in fit.fits.items()
-    }
-    return replace(moved, fits=fits)
 
 
 def _has_kinds(fit: Refit) -> bool:
