@@ -235,9 +235,9 @@ def in_other_kinds(base: Base, best: Refit, scales: Mapping[Place, Scales]) -> R
             if kind_of(added) in tried:
                 continue
             tried.add(kind_of(added))
-            other = with_other_values(base, best, added)
+            other = _on_windows(base, best, added)
             if other is not None and _better(base, best, other) is other:
-                best = other
+                best = with_block(base, other)
                 break
         else:
             return best
@@ -251,15 +251,17 @@ def in_other_shapes(base: Base, best: Refit) -> Refit:
     others = [] if base.leaves_noise(best.fits) else [*_reshaped(best.fitted)]
     few = base.few or base
     # Where they end is told on a part of the windows, as it is where the candidate itself does.
-    own = with_other_values(few, best, best.fitted) if others else None
+    own = _on_windows(few, best, best.fitted) if others else None
     if own is None:
         return best
     goal = own.fits["long"].squares
-    foremost = _better(few, own, *(with_other_values(few, best, a, goal) for a in others))
+    foremost = _better(few, own, *(_on_windows(few, best, a, goal) for a in others))
     if foremost is None or foremost is own:
         return best
-    other = with_other_values(base, foremost, foremost.fitted, best.fits["long"].squares)
-    return _better(base, best, other) or best
+    other = _on_windows(base, foremost, foremost.fitted, best.fits["long"].squares)
+    if other is None or _better(base, best, other) is best:
+        return best
+    return with_block(base, other)
 
 
 def _reshaped(added: Sequence[Placed]) -> Iterator[tuple[Placed, ...]]:
@@ -286,10 +288,16 @@ def _kinds_beside(
             yield (*added[:k], placed.with_values(values), *added[k + 1 :])
 
 
-def with_other_values(
+def with_other_values(base: Base, fit: Refit, added: tuple[Placed, ...]) -> Refit | None:
+    """Fit a candidate from where it ended, but for other values of its effects."""
+    found = _on_windows(base, fit, added)
+    return None if found is None else with_block(base, found)
+
+
+def _on_windows(
     base: Base, fit: Refit, added: tuple[Placed, ...], goal: float = np.inf
 ) -> Refit | None:
-    """Fit a candidate from where it ended, but for other values of its effects."""
+    """Fit a candidate with other values on windows alone, which tell whether it is better."""
     inner = base.problems["long"]
     trial = replace(
         with_candidate(inner, added),
@@ -307,7 +315,7 @@ def with_other_values(
     fits = _fit_horizons(base, trial, np.clip(start, lower, upper), goal)
     if fits is None:
         return None
-    return with_block(base, replace(fit, added=added, problem=trial, fits=fits))
+    return replace(fit, added=added, problem=trial, fits=fits)
 
 
 def _seen_from(base: Base, inner: Problem, best: Refit, known: Sequence[Start]) -> list[Start]:

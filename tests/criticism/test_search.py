@@ -430,7 +430,7 @@ def test_a_law_that_bends_is_started_from_half_and_twice_what_bends_it(rubbing, 
         return best if len(tried) == 1 else None
 
     monkeypatch.setattr(type(rubbing.base), "leaves_noise", lambda self, fits: False)
-    monkeypatch.setattr(refitting, "with_other_values", only_its_own)
+    monkeypatch.setattr(refitting, "_on_windows", only_its_own)
     assert in_other_shapes(rubbing.base, wide) is wide
     speeds = [p.values["stribeck_velocity"] for (p,) in tried]
     own = wide.fitted[0].values["stribeck_velocity"]
