@@ -13,7 +13,14 @@ from physid.criticism.base import NOISE_LIKE, Base, Split
 from physid.criticism.evidence import Bench, Judgement, benches, judge
 from physid.criticism.grounds import ran_away
 from physid.criticism.leads import Lead, lead_notes, possible_leads, sites_of
-from physid.criticism.merit import LEAST_GAIN, explained, quiet_base, scores, spread_of_states
+from physid.criticism.merit import (
+    LEAST_GAIN,
+    explained,
+    explained_beside,
+    quiet_base,
+    scores,
+    spread_of_states,
+)
 from physid.criticism.refit import Refit
 from physid.criticism.search import base_of, search, sharpened, windows_of
 from physid.identification.estimate import Estimate
@@ -269,7 +276,8 @@ def _verdict(
     if ranked and _real(base, ranked[0]):
         best = ranked[0]
         after = best.refit.fits["long"].squares / base.problems["long"].measurements()
-        certain = best.explained >= named and best.p_value < CERTAIN
+        share = best.explained if named == NAMED else explained_beside(base, best.refit)
+        certain = share >= named and best.p_value < CERTAIN
         if after < NOISE_LIKE or (certain and not _one_does_as_much(ranked)):
             return "effect_missing", _missing_sentence(study, best)
         return "unexplained", (

@@ -162,6 +162,16 @@ def explained(base: Base, fit: Refit) -> float:
     return max(_removed(base, fit, h) for h in fit.fits if h != "short")
 
 
+def explained_beside(base: Base, fit: Refit) -> float:
+    """Return that share for a detail: of what remembers over the longest stretches.
+
+    Windows, which it starts as it likes, name details that no whole record shows, and whose fits are the dearest.
+    """
+    if remembers(fit):
+        return _removed(base, fit, "block" if "block" in fit.fits else "long")
+    return explained(base, fit)
+
+
 def _removed(base: Base, fit: Refit, horizon: str) -> float:
     before, after = base.fits[horizon].squares, fit.fits[horizon].squares
     floor = min(float(base.problems[horizon].measurements()), after)

@@ -666,3 +666,12 @@ def test_of_a_pair_comes_first_what_does_more_over_whole_stretches(rubbing):
     drag = Placed(EFFECTS["quadratic_drag"], HINGE, {})
     pair = replace(found, added=(drag, *found.added))
     assert pairs.in_order(rubbing.base, pair, [with_block(rubbing.base, found)]).added[1] == drag
+
+
+def test_a_detail_that_remembers_must_show_over_the_longest_stretches(rubbing):
+    base, found = rubbing.base, with_block(rubbing.base, refitted(rubbing))
+    fits = {**found.fits, "block": base.fits["block"]}
+    assert merit.explained_beside(base, replace(found, fits=fits)) > 0.9
+    yields = Placed(EFFECTS["hysteresis"], HINGE, {})
+    assert merit.explained_beside(base, replace(found, added=(yields,), fits=fits)) == 0.0
+    assert merit.explained_beside(base, replace(found, added=(yields,))) > 0.9
