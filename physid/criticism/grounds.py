@@ -30,7 +30,7 @@ MOST_STARTS = 6
 """Starts of one candidate, over all screenings."""
 RUNAWAY = 8.0
 """Times its own value beyond which a parameter was driven there by what the model lacks."""
-LEADING = 12
+LEADING = 24
 """Effects at places that are looked at closely: those that do most on a part of a ground's windows."""
 TWIN = 0.95
 """Share of an effect's gain that another must have, on half the grounds, to be perhaps the same."""
