@@ -300,14 +300,18 @@ def _slopes(
             starts = windows.starts[chosen] + begin
             asked = experiment.channels, problem.sigma
             run = simulator.vary(row, sizes, x, controls, starts, end - begin + more, *asked)
-            shape = (len(starts), len(sizes), end - begin, len(problem.sigma))
             if run is None:
-                yield Block(e, chosen, slice(begin, end)), np.full(shape, np.nan)
-                break
-            yield Block(e, chosen, slice(begin, end)), run.by_changes[:, :, : end - begin]
-            if more:
-                last = run.states[:, -1]
+                # What a single run does not tell, runs next to it do.
+                runs = simulator.run(row, x, controls, starts, end - begin + more)
+                x = [r.states[:, -1].copy() for r in runs]
+                apart = [
+                    (r.outputs - runs[0].outputs) / s for r, s in zip(runs[1:], sizes, strict=True)
+                ]
+                slopes = np.stack(apart, axis=1)[..., experiment.channels] / problem.sigma
+            else:
+                slopes, last = run.by_changes, run.states[:, -1]
                 x = [last, *(last + s * run.ends[:, :, k] for k, s in enumerate(sizes))]
+            yield Block(e, chosen, slice(begin, end)), slopes[:, :, : end - begin]
 
 
 @kept(nogil=True)

@@ -234,7 +234,8 @@ class Simulator:
         Returns
         -------
         Varied or None
-            Per unit of the changes; None where the run diverges, or leaves where the plant is a network.
+            Per unit of the changes; None where the run diverges, or its derivatives, or where it leaves where the
+            plant is a network.
         """
         networks = networks_of(plants, exact=True)
         assert networks is not None  # see follows

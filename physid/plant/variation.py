@@ -113,7 +113,7 @@ def vary(
     Returns
     -------
     Varied or None
-        None where the run diverges.
+        None where the run diverges, or its derivatives do.
     """
     base, x = networks[0], np.ascontiguousarray(initial[0])
     u = np.ascontiguousarray(controls[0])
@@ -142,4 +142,19 @@ def vary(
     begin[:, :, : len(sizes)] = np.stack(first, axis=2)
     work = room_for(n, nv, layout, changes, rubs)
     follow(base, log, changes, layout, u, begin, step, sensor_map, rated, work, by_changes, ends)
+    outputs = states[:, :, : 2 * nv] @ sensor_map[:, 1 : 1 + 2 * nv].T
+    if rated:
+        outputs += rates[:, :, :nv] @ sensor_map[:, 1 + 2 * nv :].T
+    if _runs_away(by_changes, sizes, outputs):
+        return None
     return Varied(states, by_changes, ends[:, :, : len(sizes)])
+
+
+def _runs_away(by_changes: np.ndarray, sizes: np.ndarray, outputs: np.ndarray) -> bool:
+    """Say whether a change, small as it is, would move an output by more than any of its kind ever moves.
+
+    What is stiff for the step, such as a hysteresis that yields at once, does not run away itself, but its
+    derivatives do.
+    """
+    moves = np.abs(by_changes).max(axis=2, initial=0.0) * np.abs(sizes)[:, None]
+    return not bool(np.all(moves <= np.ptp(outputs, axis=(0, 1))))

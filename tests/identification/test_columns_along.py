@@ -55,3 +55,19 @@ def test_a_long_record_is_gone_along_in_stretches(text, monkeypatch):
     assert len(parts) == 5
     size = np.abs(whole).max(axis=(0, 1))
     assert np.all(np.abs(np.concatenate(parts, axis=1) - whole).max(axis=(0, 1)) <= 1e-3 * size)
+
+
+def test_columns_of_what_is_stiff_for_the_step_are_those_of_runs(monkeypatch):
+    u, y = shaft_record(600)
+    text = "hysteresis@load:force=1e-4,displacement=3e-4,exponent=1"
+    model, _ = add_effects(shaft_model(), [text])
+    names = (*NAMES, "hysteresis@load.force")
+    problem = problem_of(model, [experiment(u, y, 2e-3)], 1e-3, names, substeps=1)
+    theta, states = problem.start(), problem.states()
+    at = theta, states, residuals_of(problem, [theta], [states])[0]
+    monkeypatch.setattr(columns, "MANY", 1)
+    ((_, along),) = columns.columns_of(problem, *at)
+    monkeypatch.setattr(columns, "MANY", 1000)
+    ((_, apart),) = columns.columns_of(problem, *at)
+    assert np.isfinite(apart).all()
+    assert np.allclose(along, apart, rtol=1e-6, atol=1e-6 * np.abs(apart).max())
