@@ -214,8 +214,8 @@ def _with_strengths(trial: Trial, machine: Machine, rng: np.random.Generator) ->
             return None
         found.append(hidden)
     whole = replace(trial, hidden=tuple(found))
-    run = setup.run("train", whole.hidden, quiet=True, substeps=4)
-    held = _held(setup, ground, run) and _followed(setup, whole.hidden)
+    runs = (setup.run(which, whole.hidden, quiet=True, substeps=4) for which in ("train", "test"))
+    held = all(_held(setup, ground, run) for run in runs) and _followed(setup, whole.hidden)
     return whole if held and _each_stands_out(whole, setup, ground) else None
 
 
