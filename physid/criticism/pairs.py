@@ -34,6 +34,8 @@ FORLORN = 0.1
 in the catalogue.  Beside five best singles of pairs the most was 0.31 to 1.0, of strangers 0.02 to 0.42."""
 LOST = 1e3
 """Mean squares over the noise's that a single leaves from which nothing looks like itself, and no promise tells."""
+NEARLY_RIGHT = 0.7
+"""Share of what the model leaves beyond noise, of which a pair removes as much that one of its effects may be right."""
 TWIN_STARTS = 2
 """Shapes in which such an exchange is started."""
 LIKE = 0.8
@@ -244,7 +246,8 @@ def exchanged(
     """Return pairs in which one effect is exchanged for another that does about as well, alone or beside the other.
 
     While the other one was missing, a lag and a delay looked the same, or a stiff mode and an inertia; beside it
-    they need not, and what did not look alike may.
+    they need not, and what did not look alike may.  Of a pair that leaves more than noise one effect may be right,
+    and the other a makeshift.
     """
     alone = {f.sites()[0]: f for f in singles if len(f.added) == 1}
     values = dict(zip(alone, scores(base, [*alone.values()], ("short", "long")), strict=True))
@@ -262,7 +265,7 @@ def exchanged(
             other = _exchanged_for(base, pair, own, [placed], scales[placed.place])
             found += [] if other is None else [in_order(base, with_block(base, other), singles)]
     known = {frozenset(f.sites()) for f in [pair, *found]}
-    for own in pair.fitted if noise_like(base, pair) else ():
+    for own in pair.fitted if explained(base, pair) >= NEARLY_RIGHT else ():
         for group in _twins_beside(base, pair, own, candidates):
             placed = group.scored[0].start
             partner = next(p for p in pair.fitted if not p.same_site(own))

@@ -239,15 +239,17 @@ def _searched(
         fits = [*fits, *pairs]
         fits = _with_siblings(base, fits, scales, _best_on_windows(base, fits))
     fits = _best_with_blocks(base, fits, scales)
-    if not fits or len(fits[0].added) < 2:
+    pair = next((f for f in fits if len(f.added) > 1), None)
+    # What one effect of a wrong pair should have been hides until the other one stands.
+    if pair is None or (pair is not fits[0] and explained(base, pair) < FAR_FROM_NAMED):
         return fits
-    alone = without_partner(base, fits[0], scales)
+    alone = without_partner(base, pair, scales)
     enough = [f.sites()[0] for f in alone if noise_like(base, f)]
     if enough:
         # The partner only led it to its right values: nothing is told beside it, nor exchanged for it.
         fits = [f for f in fits if len(f.added) == 1 or not set(enough) & set(f.sites())]
         return _best_with_blocks(base, _better_of([*fits, *alone], base), scales)
-    others = exchanged(base, fits[0], singles, scales, candidates)
+    others = exchanged(base, pair, singles, scales, candidates)
     # What nothing led to by itself is known alone only now.
     fits = [in_order(base, f, [*alone, *singles]) for f in [*fits, *alone, *others]]
     return _best_with_blocks(base, _better_of(fits, base), scales)

@@ -494,6 +494,25 @@ def test_an_effect_of_a_pair_is_exchanged_for_what_did_as_well_alone(rubbing, mo
     assert not any(one == other for one, other in tried)
 
 
+@pytest.mark.parametrize(("share", "looks"), [(0.8, 2), (0.5, 0)])
+def test_a_pair_that_explains_much_may_have_one_effect_right(rubbing, monkeypatch, share, looks):
+    """Beside each of them the other one is looked for again, though the pair leaves more than noise."""
+    first = refitted(rubbing)
+    drag = Placed(EFFECTS["quadratic_drag"], HINGE, {"drag": 1e-4})
+    pair = replace(first, added=(*first.added, drag))
+    asked = []
+
+    def twins(base, of, own, candidates):
+        asked.append(own.effect.name)
+        return []
+
+    monkeypatch.setattr(refitting.Refit, "fitted", property(lambda self: self.added))
+    monkeypatch.setattr(pairs, "explained", lambda base, fit: share)
+    monkeypatch.setattr(pairs, "_twins_beside", twins)
+    assert pairs.exchanged(rubbing.base, pair, [], rubbing.scales, []) == []
+    assert len(asked) == looks
+
+
 def test_steps_are_finer_where_integration_errors_would_be_evidence(rubbing):
     study = replace(rubbing.study, integration_error=0.1)
     assert search.sharpened(study).integration_error < 0.02
