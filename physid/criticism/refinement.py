@@ -218,14 +218,25 @@ def _earning_their_place(before: Step, added: Sequence[Step]) -> int:
     """Return how many of the steps to keep: the most that lower the squares on whole records clearly.
 
     An effect may gain on windows what it loses over a whole record; then it only imitates what is
-    really missing.
+    really missing.  So does one that gains whatever size it has.
     """
     best, kept = before.fitted.estimate.squares, 0
     for k, step in enumerate(added, start=1):
         squares = step.fitted.estimate.squares
-        if _earned(best, squares, step.fitted.problem.measurements()):
+        earned = _earned(best, squares, step.fitted.problem.measurements())
+        if earned and all(_has_a_size(step.fitted, placed) for placed in step.added):
             best, kept = squares, k
     return kept
+
+
+def _has_a_size(fitted: Fitted, placed: Placed) -> bool:
+    """Say whether any coefficient of an effect is larger than its standard error, where that is known of all."""
+    site = fitted.problem.model.site(placed) + "."
+    own = [k for k, p in enumerate(fitted.problem.parameters) if p.name.startswith(site)]
+    errors = fitted.uncertainty.std_error[own]
+    return bool(
+        not own or np.isnan(errors).any() or np.any(np.abs(fitted.estimate.theta[own]) > errors)
+    )
 
 
 def _earned(before: float, after: float, noise: float) -> bool:

@@ -278,3 +278,19 @@ def test_one_effect_that_does_as_much_as_two_where_nothing_was_chosen_is_seen():
     assert diagnosis._one_does_as_much([two, candidate(["cogging"], 4.0)])
     assert not diagnosis._one_does_as_much([two, candidate(["cogging"], 6.0)])
     assert not diagnosis._one_does_as_much([two, candidate(["coulomb_friction"], 4.0)])
+
+
+@pytest.mark.parametrize(
+    ("errors", "has"),
+    [([7.0, 0.4], False), ([0.1, 0.4], True), ([7.0, 0.01], True), ([np.nan, 0.4], True)],
+)
+def test_what_gains_whatever_size_it_has_is_not_added(errors, has):
+    placed = SimpleNamespace()
+    model = SimpleNamespace(site=lambda p: "unmodelled_mode@cart")
+    names = ["rail.damping", "unmodelled_mode@cart.mass", "unmodelled_mode@cart.stiffness"]
+    fitted = SimpleNamespace(
+        problem=SimpleNamespace(model=model, parameters=[SimpleNamespace(name=n) for n in names]),
+        estimate=SimpleNamespace(theta=np.array([1.0, 0.6, 0.03])),
+        uncertainty=SimpleNamespace(std_error=np.array([0.01, *errors])),
+    )
+    assert refinement._has_a_size(fitted, placed) is has
