@@ -28,9 +28,10 @@ class Strides(NamedTuple):
     """Whole steps as one map (:mod:`physid.plant.strides`), and its changes.
 
     ``onward`` and ``later`` as there, with known things before a step, then forces at its stages.  The same by
-    rows, of the readings that are heard alone: what comes of the state ``by_state`` (r, n and padding) and of the
-    forces ``by_forces`` (r, 4 forces and padding), readings of forces at the stages before, ``by_earlier`` (4 heard,
-    4 forces and padding).  ``changes`` (known + 4 forces, r d): of the d ``changed`` ones, derivatives of the map.
+    rows, of the readings that are heard alone: what comes of the state ``by_state`` (r, n and padding), of the
+    input ``by_input`` (r, nu and padding) and of the forces ``by_forces`` (r, 4 forces and padding), and what
+    readings have of forces at the stages before, ``by_earlier`` (4 heard, 4 forces and padding).  ``changes``
+    (known + 4 forces, r d): of the d ``changed`` ones, derivatives of the map.
     """
 
     onward: np.ndarray

@@ -66,7 +66,6 @@ def copies_of(networks: Sequence[Network], sizes: np.ndarray) -> Copies:
     """Copy the elements of the first of 1 + c networks; the others are changed by sizes (c,)."""
     base = networks[0]
     lengths = np.diff([*base.law_starts, base.law_limits.size])
-    # Laws' constants begin where the first law's do.
     own = [k for k, net in enumerate(networks) if k and net is not base]
     memories = base.law_memories[:, 1].tolist()
 

@@ -41,7 +41,7 @@ def test_columns_along_a_run_are_those_of_differences(text, monkeypatch):
     ((_, apart),) = columns.columns_of(problem, *at, central=True)
     assert block.samples == slice(0, problem.windows[0].samples)
     size = np.abs(apart).max(axis=(0, 1))
-    assert np.all(np.abs(along - apart).max(axis=(0, 1)) <= 5e-3 * size)
+    assert np.all(np.abs(along - apart).max(axis=(0, 1)) <= 1e-3 * size)
 
 
 @pytest.mark.parametrize("text", EFFECTS)

@@ -11,8 +11,10 @@ from .rigs import CART, FRICTION, SERVOS, inputs_for, load_text, twice
 from .test_network import EFFECTS, rig_for
 
 STEP = 1e-5
-EXACTLY = 2e-3
+EXACTLY = 3e-4
 """Relative difference allowed: that of a central difference across a reversal."""
+ACROSS_A_GAP = 2e-3
+"""... and across the edges of a gap, where stages beyond an edge are taken back to it."""
 
 
 def neighbours(model, names):
@@ -93,7 +95,8 @@ def test_derivatives_with_every_effect(effect):
         for c in placed.effect.coefficients
     ]
     found, wanted, _ = compared(model, ["a.mass", "two.frictionloss", *own])
-    assert worst(found.by_changes, wanted).max() < EXACTLY
+    allowed = ACROSS_A_GAP if effect == "backlash" else EXACTLY
+    assert worst(found.by_changes, wanted).max() < allowed
 
 
 @pytest.mark.parametrize("effect", BEYOND)
