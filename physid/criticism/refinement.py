@@ -43,6 +43,7 @@ from physid.criticism.refit import start_of, with_candidate
 from physid.criticism.steps import (
     Step,
     Unsure,
+    begun_alike,
     needed_of,
     simulated_on,
     step_of,
@@ -55,7 +56,6 @@ from physid.identification.accuracy import SHARE, for_engine, with_substeps
 from physid.identification.beginnings import beginning_notes
 from physid.identification.estimate import Estimate
 from physid.identification.fitting import FAR_WORSE, Fitted
-from physid.identification.output_error import minimise
 from physid.identification.problem import Problem
 from physid.identification.study import Options, Study, as_model, experiments_of, prepare
 from physid.plant.effect import Placed
@@ -393,9 +393,7 @@ def _from_file(
         [replace(w, simulator=replace(w.simulator, structure=structure)) for w in problem.windows]
     )
     try:
-        estimate = minimise(
-            problem, np.zeros(0), fitted.estimate.states, iterations=20, tolerance=1e-5
-        )
+        estimate = begun_alike(problem, fitted.estimate)
     except DivergedError:
         return step, ["The written file's simulation diverges; the figures are the fit's."]
     change = abs(np.sqrt(estimate.squares / max(fitted.estimate.squares, 1e-300)) - 1.0)
@@ -408,7 +406,7 @@ def _from_file(
         fitted,
         estimate=replace(fitted.estimate, states=estimate.states, residuals=estimate.residuals),
     )
-    known = None if step.tested is None else step.tested[1].states
+    known = None if step.tested is None else step.tested[1]
     tested = simulated_on(model, problem, tests, known)
     if tests and tested is None:
         notes.append("The refined model diverges along the test records; their error is not shown.")

@@ -19,7 +19,7 @@ from physid.identification.estimate import Estimate
 from physid.identification.fitting import Fitted, fit_study
 from physid.identification.freedom import identifiable_beside
 from physid.identification.output_error import minimise
-from physid.identification.problem import Problem
+from physid.identification.problem import Problem, residuals_of
 from physid.identification.sizes import scales_of
 from physid.identification.staged import quick, states_only
 from physid.identification.study import Study
@@ -27,6 +27,8 @@ from physid.identification.windows import whole
 from physid.plant.effect import Placed
 from physid.plant.model import Model
 
+SAME = 1.0 + 1e-4
+"""Misfit of the same motion in shorter steps, as a share of what it was."""
 MOST_ALIKE = 3
 """Effects that could not be told from an added one, of which it is asked again whether they can."""
 
@@ -77,9 +79,9 @@ def _is_noise_like(fitted: Fitted) -> bool:
 
 
 def simulated_on(
-    model: Model, fitted: Problem, tests: Sequence[Any], states: list[np.ndarray] | None = None
+    model: Model, fitted: Problem, tests: Sequence[Any], known: Estimate | None = None
 ) -> tuple[Problem, Estimate] | None:
-    """Simulate test records with every parameter frozen; only initial states are estimated, from some if known.
+    """Simulate test records with every parameter frozen; only initial states are estimated, or near known ones.
 
     They decide nothing: a model that diverges on them is shown without them.
     """
@@ -90,9 +92,27 @@ def simulated_on(
     problem = Problem(model=model, parameters=(), windows=windows, sigma=fitted.sigma)
     try:
         problem = with_likely_beginnings(problem, np.zeros(0))
-        return problem, states_only(problem, states)
+        return problem, states_only(problem) if known is None else begun_alike(problem, known)
     except DivergedError:
         return None
+
+
+def begun_alike(problem: Problem, known: Estimate) -> Estimate:
+    """Simulate frozen parameters from the initial states of an estimate of the same motion.
+
+    Where the misfit is not the same from there they are estimated anew.
+
+    Raises
+    ------
+    DivergedError
+        If the simulation diverges.
+    """
+    residuals = residuals_of(problem, [np.zeros(0)], [known.states])[0]
+    found = replace(known, theta=np.zeros(0), residuals=residuals, point=None)
+    found = replace(found, chi2=found.squares)
+    if found.squares < SAME * known.squares:
+        return found
+    return states_only(problem, known.states)
 
 
 @dataclass(frozen=True, slots=True)

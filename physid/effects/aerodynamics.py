@@ -110,6 +110,7 @@ class Aerodynamics(Effect):
                 direction=direction,
                 offset=0.0,
                 constants=np.zeros(1),
+                linear=True,
             )
             for (row, rate), direction in zip(felt, push, strict=True)
         )

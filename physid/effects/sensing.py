@@ -84,6 +84,7 @@ class SensorLag(Effect):
                 offset=0.0,
                 constants=np.array([lag]),
                 memory=self.memory,
+                linear=True,
             ),
         )
 

@@ -132,6 +132,7 @@ class UnmodelledMode(Effect):
                 offset=0.0,
                 constants=np.array([values["mass"], values["stiffness"], values["damping"]]),
                 memory=self.memory,
+                linear=True,
             ),
         )
 

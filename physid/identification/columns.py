@@ -13,7 +13,7 @@ import numpy as np
 
 from physid.errors import DivergedError
 from physid.identification.nearby import Nearby, nearby
-from physid.identification.problem import Block, Problem, blocks_of, residuals_of, slopes_of
+from physid.identification.problem import Block, Plants, Problem, blocks_of, residuals_of, slopes_of
 from physid.identification.windows import state_indices
 from physid.plant.model import Model
 from physid.plant.parameter import Parameter
@@ -74,14 +74,23 @@ def columns_of(
     behind = [theta - steps[k] * np.eye(p)[k] for k in mirrored]
     sizes = np.concatenate([STEP * scales, steps])
     points, places = [theta] * (1 + nx) + ahead, [states, *moved, *[states] * p]
-    slopes = slopes_of(problem, points, places, sizes) if nx + p >= MANY else None
+    plants: Plants = {}
+    slopes = slopes_of(problem, points, places, sizes, plants, MANY)
     if slopes is not None:
-        yield from _columns_along(problem, slopes, residuals)
+        both = [slopes]
+        if central:
+            # Slopes are of changes as large as the steps, so those the other way take out what is of second order.
+            turned, points = sizes.copy(), [theta] * (1 + nx) + ahead
+            for k, other in zip(mirrored, behind, strict=True):
+                turned[nx + k], points[1 + nx + k] = -steps[k], other
+            other_way = slopes_of(problem, points, places, turned, plants, MANY)
+            both += [] if other_way is None else [other_way]
+        yield from _columns_along(problem, both, residuals)
         return
     thetas = [*[theta] * len(moved), *ahead, *behind]
     sizes[[nx + k for k in mirrored]] *= 2.0
     starts = [*moved, *[states] * (len(ahead) + len(behind))]
-    for block, runs in blocks_of(problem, thetas, starts):
+    for block, runs in blocks_of(problem, thetas, starts, plants):
         base = residuals[block.experiment][block.windows, block.samples]
         # Columns are filled one after the other; LAPACK wants them so as well.
         found = np.empty((len(base), nx + p + 1, base[0].size)).transpose(0, 2, 1)
@@ -99,11 +108,13 @@ def columns_of(
 
 def _columns_along(
     problem: Problem,
-    slopes: Iterable[tuple[Block, np.ndarray]],
+    slopes: Sequence[Iterable[tuple[Block, np.ndarray]]],
     residuals: list[np.ndarray],
 ) -> Iterator[tuple[Block, np.ndarray]]:
-    """Return the columns that :func:`columns_of` does, of slopes found along one run."""
-    for block, along in slopes:
+    """Return the columns that :func:`columns_of` does, the mean of slopes found along one run."""
+    for (block, along), *others in zip(*slopes, strict=True):
+        for _, other in others:
+            along = 0.5 * (along + other)
         base = residuals[block.experiment][block.windows, block.samples]
         found = np.empty((len(base), along.shape[1] + 1, base[0].size))
         found[:, :-1] = along.reshape(len(base), along.shape[1], -1)

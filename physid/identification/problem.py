@@ -193,6 +193,10 @@ def states_after(
     return np.asarray(ends[:, [*range(moving), *own]])
 
 
+Plants = dict[tuple[float, bytes], Plant]
+"""Plants by step and parameter values."""
+
+
 @dataclass(frozen=True, slots=True)
 class Block:
     """A stretch of an experiment's windows: which experiment, which windows, which samples of them."""
@@ -203,19 +207,22 @@ class Block:
 
 
 def blocks_of(
-    problem: Problem, thetas: Sequence[np.ndarray], states: Sequence[list[np.ndarray]]
+    problem: Problem,
+    thetas: Sequence[np.ndarray],
+    states: Sequence[list[np.ndarray]],
+    plants: Plants | None = None,
 ) -> Iterator[tuple[Block, list[np.ndarray]]]:
     """Simulate several parameter vectors, each with its own initial states, a stretch at a time.
 
     Long records are never held in memory whole: each stretch starts from the states in which the one
-    before it ended.
+    before it ended.  ``plants`` are those that are known.
 
     Yields
     ------
     (Block, list over vectors of ndarray (w, samples, ny))
         Weighted residuals, measured - simulated; NaN after a divergence.
     """
-    plants: dict[tuple[float, bytes], Plant] = {}
+    plants = {} if plants is None else plants
     for e, windows in enumerate(problem.windows):
         simulator, experiment = windows.simulator, windows.experiment
         row = _plants(problem, simulator, thetas, plants)
@@ -258,6 +265,8 @@ def slopes_of(
     thetas: Sequence[np.ndarray],
     states: Sequence[list[np.ndarray]],
     sizes: np.ndarray,
+    plants: Plants,
+    many: int,
 ) -> Iterator[tuple[Block, np.ndarray]] | None:
     """Find how a simulation changes towards others next to it, along its one run, a stretch at a time.
 
@@ -267,6 +276,10 @@ def slopes_of(
         The point, and those next to it, each with its initial states.
     sizes : ndarray (c,)
         How far away each is.
+    plants : dict
+        Those that are known; what is compiled joins them.
+    many : int
+        See :meth:`physid.plant.simulation.Simulator.follows`.
 
     Returns
     -------
@@ -274,9 +287,10 @@ def slopes_of(
         Weighted outputs per unit of the sizes; NaN where the point itself diverges.  None where a run does
         not tell what lies next to it, see :meth:`physid.plant.simulation.Simulator.follows`.
     """
-    plants: dict[tuple[float, bytes], Plant] = {}
     rows = [_plants(problem, w.simulator, thetas, plants) for w in problem.windows]
-    if not all(w.simulator.follows(row) for w, row in zip(problem.windows, rows, strict=True)):
+    if not all(
+        w.simulator.follows(row, many) for w, row in zip(problem.windows, rows, strict=True)
+    ):
         return None
     return _slopes(problem, rows, states, sizes)
 
@@ -338,7 +352,7 @@ def _plants(
     problem: Problem,
     simulator: Simulator,
     thetas: Sequence[np.ndarray],
-    known: dict[tuple[float, bytes], Plant],
+    known: Plants,
 ) -> list[Plant]:
     """Return a plant per parameter vector, each compiled once."""
     family = problem.family(simulator, thetas) if simulator.compiled else None

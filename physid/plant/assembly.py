@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from physid.plant.compiling import kept, product
+from physid.plant.law import call_law, call_memory_law, pointer_at
 from physid.plant.model import Plant
 from physid.plant.network import NO_LOG, Network, integrate
 from physid.plant.parts import read_parts
@@ -92,6 +93,15 @@ def assemble(parts):  # type: ignore[no-untyped-def]  # noqa: C901 - three kinds
     for j in range(nv):
         for i in range(nv):
             swings[j] = swings[j] or sines[i, j] != 0.0 or cosines[i, j] != 0.0
+    law_pulls = product(parts.law_directions, inverse)
+    for e in range(len(parts.law_linear)):
+        if parts.law_linear[e]:
+            _take_up(parts, e, law_pulls[e], nv, linear)
+    laws = ~parts.law_linear
+    constants = parts.law_limits.size
+    for e in range(len(laws)):
+        if not laws[e]:
+            constants = min(constants, parts.law_starts[e])
     friction_pulls = product(parts.friction_rows, inverse)
     diagonals = np.zeros(len(parts.friction_rows))
     for e in range(len(diagonals)):
@@ -116,18 +126,18 @@ def assemble(parts):  # type: ignore[no-untyped-def]  # noqa: C901 - three kinds
         friction_pulls,
         parts.friction,
         diagonals,
-        parts.law_rows,
-        parts.law_rates,
-        product(parts.law_directions, inverse),
-        parts.law_offsets,
-        parts.law_addresses,
-        parts.law_starts,
-        parts.law_constants,
-        parts.law_limits,
-        parts.law_frictions,
-        parts.law_edges,
-        parts.law_edge_kinds,
-        parts.law_memories,
+        parts.law_rows[laws],
+        parts.law_rates[laws],
+        law_pulls[laws],
+        parts.law_offsets[laws],
+        parts.law_addresses[laws],
+        parts.law_starts[laws],
+        parts.law_constants[:constants],
+        parts.law_limits[:constants],
+        parts.law_frictions[laws],
+        parts.law_edges[laws],
+        parts.law_edge_kinds[laws],
+        parts.law_memories[laws],
         parts.tree_parents,
         parts.tree_dofs,
         parts.tree_bodies,
@@ -139,6 +149,44 @@ def assemble(parts):  # type: ignore[no-untyped-def]  # noqa: C901 - three kinds
         parts.planar_bodies,
         parts.planar_gravity,
     )
+
+
+@kept(error_model="numpy")
+def _take_up(parts, e, pulls, nv, linear):  # type: ignore[no-untyped-def]
+    """Add a law that is linear in what it reads, and its memory, to the linear part."""
+    act, memory = parts.law_memories[e, 0], parts.law_memories[e, 1]
+    read = np.zeros(2 + memory)
+    for part in range(1 + memory):
+        rate = np.zeros(linear.shape[1])
+        none = _value(parts, e, read, part)
+        rate[0] = none
+        for k in range(2 + memory):
+            read[k] = 1.0
+            slope = _value(parts, e, read, part) - none
+            read[k] = 0.0
+            if k == 0:
+                rate[0] -= slope * parts.law_offsets[e]
+            for j in range(nv if k < 2 else 0):
+                if k == 0:
+                    rate[1 + j] += slope * parts.law_rows[e, j]
+                else:
+                    rate[1 + nv + j] += slope * parts.law_rates[e, j]
+            if k >= 2:
+                rate[1 + 2 * nv + act + k - 2] += slope
+        for i in range(nv if part == 0 else 0):
+            linear[i] += pulls[i] * rate
+        if part > 0:
+            linear[nv + act + part - 1] += rate
+
+
+@kept(error_model="numpy")
+def _value(parts, e, read, part):  # type: ignore[no-untyped-def]
+    """Return a law's force, or the rate of an entry of its memory, of x, v and its memory."""
+    constants = pointer_at(parts.law_limits.ctypes.data + 8 * parts.law_starts[e])
+    if read.size == 2:
+        return call_law(parts.law_addresses[e], read[0], read[1], 0.0, constants)
+    memory = pointer_at(read.ctypes.data + 16)
+    return call_memory_law(parts.law_addresses[e], read[0], read[1], 0.0, constants, memory, part)
 
 
 @kept(error_model="numpy")

@@ -71,6 +71,9 @@ class Element:
         v = rate . qvel; ``row`` if None.
     direction : ndarray (nv,) or None
         Generalised force = direction * law; ``row`` if None.
+    linear : bool
+        Whether the law, and what it remembers, is linear in x, v and its memory, whatever its constants: the
+        compiled back end then takes it up into the linear part of the rig.
     """
 
     address: int
@@ -84,6 +87,7 @@ class Element:
     activation: int = -1
     rate: np.ndarray | None = None
     direction: np.ndarray | None = None
+    linear: bool = False
 
     @property
     def rows(self) -> np.ndarray:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -27,11 +28,18 @@ FAR = 32.0
 EXACTLY = 1e-11
 """Largest difference between the affine parts and those of the compiled model, relative."""
 ENGINE_ONLY = ("law_constants",)
-"""Parts that only the engine uses, as it uses columns 1 and 2 of ``friction`` alone."""
+"""Parts that only the engine uses."""
+OWN_FRICTION = (1.0, 0.0, 0.0)
+"""Shares of the columns of ``friction`` that are a family's: what the engine uses alone is none's."""
 
 
-BOUNDED = ("limits", "springs", "actuators", "law_edges")
-"""Parts with numbers that are infinite where there is no bound."""
+class Moving(NamedTuple):
+    """A part whose numbers vary: its name, which of the family's they are, and where there are none but bounds."""
+
+    name: str
+    numbers: slice
+    shape: tuple[int, ...]
+    unbounded: np.ndarray | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,8 +57,10 @@ class Family:
     parts : Parts
         Of the reference.
     at : ndarray (p,)
+    moving : tuple of Moving
+        The parts that are not the same for all plants.
     base : ndarray (z,), slopes : ndarray (z, p)
-        The varying numbers of the parts, then the delays of the inputs.
+        The numbers of these, then the delays of the inputs.
     """
 
     model: Model
@@ -58,6 +68,7 @@ class Family:
     reference: Plant
     parts: Parts
     at: np.ndarray
+    moving: tuple[Moving, ...]
     base: np.ndarray
     slopes: np.ndarray
 
@@ -65,7 +76,12 @@ class Family:
         """Return the parts at parameter values theta (p,), and the delays of the inputs (nu,)."""
         numbers = self.base + self.slopes @ (theta - self.at)
         first = len(numbers) - len(self.reference.delays)
-        return _with_numbers(self.parts, numbers), np.maximum(numbers[first:], 0.0)
+        found = {}
+        for name, own, shape, unbounded in self.moving:
+            found[name] = numbers[own].reshape(shape)
+            if unbounded is not None:
+                found[name][unbounded] = getattr(self.parts, name)[unbounded]
+        return self.parts._replace(**found), np.maximum(numbers[first:], 0.0)
 
     def plant(self, theta: np.ndarray) -> Plant:
         """Return the plant at parameter values theta (p,)."""
@@ -125,9 +141,6 @@ def family_of(
         columns.append((found[2] - base) / move)
     slopes = np.column_stack(columns) if columns else np.zeros((len(base), 0))
     shares = 0.3 + 0.7 * np.arange(1, len(at) + 1) / (len(at) + 1)
-    family = Family(
-        model=model, names=names, reference=reference, parts=parts, at=at, base=base, slopes=slopes
-    )
     # A number that is cut off somewhere does not move nearby, and must not be taken for one that never does.
     for change in (shares * moves, _far(parameters, at) - at):
         check = probe.read(at + change)
@@ -136,7 +149,34 @@ def family_of(
         size = np.abs(base) + np.abs(slopes) @ np.abs(change)
         if not np.all(np.abs(base + slopes @ change - check[2]) <= EXACTLY * size + 1e-300):
             return None
-    return family
+    moving, rows = _moving(parts, slopes)
+    return Family(
+        model=model,
+        names=names,
+        reference=reference,
+        parts=parts._replace(friction=parts.friction * OWN_FRICTION),
+        at=at,
+        moving=moving,
+        base=base[rows],
+        slopes=slopes[rows],
+    )
+
+
+def _moving(parts: Parts, slopes: np.ndarray) -> tuple[tuple[Moving, ...], np.ndarray]:
+    """Return the parts with numbers that have slopes (z, p), and which numbers these and the delays are."""
+    found: list[Moving] = []
+    rows: list[int] = []
+    first = 0
+    for name in _varying(parts):
+        array = getattr(parts, name)
+        own = range(first, first + array.size)
+        first += array.size
+        if np.any(slopes[own]):
+            bounded = np.isfinite(array)
+            place = slice(len(rows), len(rows) + array.size)
+            found.append(Moving(name, place, array.shape, None if bounded.all() else ~bounded))
+            rows += own
+    return tuple(found), np.array([*rows, *range(first, len(slopes))], np.int64)
 
 
 def _far(parameters: Sequence[Parameter], at: np.ndarray) -> np.ndarray:
@@ -171,7 +211,7 @@ class _Probe:
 
 
 def _numbers(parts: Parts, delays: np.ndarray) -> np.ndarray:
-    parts = parts._replace(friction=parts.friction * [1.0, 0.0, 0.0])
+    parts = parts._replace(friction=parts.friction * OWN_FRICTION)
     flat = np.concatenate([*(getattr(parts, name).ravel() for name in _varying(parts)), delays])
     return np.where(np.isfinite(flat), flat, 0.0)
 
@@ -183,17 +223,6 @@ def _varying(parts: Parts) -> list[str]:
         for name, array in zip(parts._fields, parts, strict=True)
         if array.dtype == np.float64 and name not in ENGINE_ONLY
     ]
-
-
-def _with_numbers(parts: Parts, numbers: np.ndarray) -> Parts:
-    found, first = {}, 0
-    for name in _varying(parts):
-        array = getattr(parts, name)
-        if array.size:
-            new = numbers[first : first + array.size].reshape(array.shape)
-            found[name] = new if name not in BOUNDED else np.where(np.isfinite(array), new, array)
-            first += array.size
-    return parts._replace(**found)
 
 
 def _same_shape(one: Parts, other: Parts) -> bool:

@@ -111,7 +111,7 @@ NO_LOG = log_of(0, 0, 0, 0)
 
 
 @kept(**BORROWING)
-def _is_held(controls, first, count):  # type: ignore[no-untyped-def]
+def are_held(controls, first, count):  # type: ignore[no-untyped-def]
     """Say whether the inputs do not change over some steps."""
     for s in range(1, count):
         for j in range(controls.shape[1]):
@@ -140,7 +140,7 @@ def _integrate_linear(  # type: ignore[no-untyped-def]
                 states[w, k:] = np.nan
                 break
             first = min(int(starts[w, 0]) + k * substeps, last)
-            held = _is_held(controls, first, substeps)
+            held = are_held(controls, first, substeps)
             for s in range(1 if held else substeps):
                 row = min(first + s, last)
                 for j in range(u.size):

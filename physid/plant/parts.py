@@ -37,7 +37,7 @@ class Parts(NamedTuple):
     force, R, B of the engine's constraint.  ``laws``: what they feel (``law_rows``, ``law_rates``) and push
     (``law_directions``), address, offset, start of their constants, these and their limit without
     smoothing, the friction whose sign they share (-1: none), the edges at which they jump and of what (0 position,
-    1 speed, 2 time), and their memory: first activation and number.
+    1 speed, 2 time), their memory: first activation and number; and whether they are linear.
     """
 
     mass: np.ndarray
@@ -63,6 +63,7 @@ class Parts(NamedTuple):
     law_edges: np.ndarray
     law_edge_kinds: np.ndarray
     law_memories: np.ndarray
+    law_linear: np.ndarray
     tree_parents: np.ndarray
     tree_dofs: np.ndarray
     tree_bodies: np.ndarray
@@ -104,7 +105,8 @@ def read_parts(plant: Plant, data: mujoco.MjData) -> Parts | None:
         return None
     turns = len(tree[0]) > 0
     gravity = np.zeros((model.nv, 1 + 2 * model.nv)) if turns else _gravity(model, data)
-    laws = plant.elements
+    # Those that join the linear part last: the constants of the others then stand together.
+    laws = sorted(plant.elements, key=lambda e: e.linear)
     rows = np.array([e.rows for e in laws]).reshape(len(laws), 3, model.nv)
     law_rows, law_rates, directions = (np.ascontiguousarray(rows[:, k]) for k in range(3))
     dry = [k for k, e in enumerate(laws) if e.limit is not None]
@@ -132,6 +134,7 @@ def read_parts(plant: Plant, data: mujoco.MjData) -> Parts | None:
         np.array(edges, dtype=float).reshape(len(laws), 2),
         np.array([EDGES.index(e.edge_of) for e in laws], dtype=np.int64),
         np.array([[e.activation, len(e.memory)] for e in laws], dtype=np.int64).reshape(-1, 2),
+        np.array([e.linear for e in laws], dtype=np.bool_),
         *tree,
     )
 

@@ -18,6 +18,7 @@ from physid.plant.assembly import agrees, network_of
 from physid.plant.callback import run_time_laws
 from physid.plant.compiling import kept
 from physid.plant.engine import simulate_engine
+from physid.plant.linear_variation import is_linear
 from physid.plant.measuring import BETWEEN, Rollout, behind_by, read_at_samples
 from physid.plant.model import Model, Plant
 from physid.plant.network import NO_LOG, Network, integrate
@@ -200,12 +201,17 @@ class Simulator:
             for plant, run, x in zip(plants, runs, initial, strict=True)
         ]
 
-    def follows(self, plants: Sequence[Plant]) -> bool:
-        """Say whether :meth:`vary` finds what lies next to the first of some plants, as the others do."""
+    def follows(self, plants: Sequence[Plant], many: int) -> bool:
+        """Say whether :meth:`vary` finds what lies next to the first of some plants, as the others do.
+
+        Only of a rig without elements does it find few things, fewer than ``many``, sooner than runs of their own.
+        """
         if not self.compiled or not self.exact or any(plant.instruments for plant in plants):
             return False
         networks = networks_of(plants, exact=True)
-        return networks is not None and follows(networks)
+        if networks is None or not (len(plants) > many or is_linear(networks[0])):
+            return False
+        return follows(networks)
 
     def vary(
         self,

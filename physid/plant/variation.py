@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from physid.plant.changes import changes_of, padded
-from physid.plant.elements import readings_and_pulls
 from physid.plant.following import follow, layout_of, room_for
+from physid.plant.linear_variation import is_linear, vary_linearly
 from physid.plant.network import Network, integrate, log_of
 
 SPEED_EDGES = 1
@@ -34,10 +34,10 @@ MOST_ROOM = 32
 def follows(networks: Sequence[Network]) -> bool:
     """Say whether what lies next to the first of some networks, as the others do, is found along its run."""
     base = networks[0]
+    if is_linear(base):
+        return all(is_linear(o) and o.linear.shape == base.linear.shape for o in networks[1:])
     if base.tree_parents.size or np.any(_kept_speeds(base)):
         return False
-    if not len(base.friction) and not len(readings_and_pulls(base)[0]):
-        return False  # its runs are cheaper than this
     return all(_alike(base, other) for other in networks[1:] if other is not base)
 
 
@@ -115,6 +115,11 @@ def vary(
     Varied or None
         None where the run diverges, or its derivatives do.
     """
+    if is_linear(networks[0]):
+        found = vary_linearly(
+            networks, sizes, initial, controls, starts, samples, substeps, step, sensor_map
+        )
+        return Varied(*found) if all(np.isfinite(part).all() for part in found) else None
     base, x = networks[0], np.ascontiguousarray(initial[0])
     u = np.ascontiguousarray(controls[0])
     (w, n), nv = x.shape, base.sines.shape[0]

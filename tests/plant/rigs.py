@@ -32,6 +32,20 @@ CART = """
   <accelerometer name="shake" site="s"/></sensor></mujoco>
 """.replace('</body>\n  <body name="wheel"', '<site name="s"/></body>\n  <body name="wheel"')
 
+LINEAR = """
+<mujoco><option timestep="0.001" gravity="0 0 0"><flag contact="disable"/></option>
+<worldbody>
+  <body name="a"><joint name="one" type="slide" axis="1 0 0" damping="0.8" stiffness="90" springref="0.02"/>
+    <geom type="box" size=".1 .1 .1" mass="1.5"/><site name="s"/></body>
+  <body name="b" pos="0 1 0"><joint name="two" type="slide" axis="1 0 0" damping="0.1"/>
+    <geom type="box" size=".1 .1 .1" mass="0.7"/></body></worldbody>
+<tendon><fixed name="shaft" stiffness="400" damping="0.6">
+  <joint joint="one" coef="1"/><joint joint="two" coef="-1"/></fixed></tendon>
+<actuator><motor name="motor" joint="one" gear="3" ctrllimited="true" ctrlrange="-1.5 1.5"/></actuator>
+<sensor><jointpos name="p" joint="one"/><jointvel name="q" joint="two"/>
+  <accelerometer name="shake" site="s"/></sensor></mujoco>
+"""
+
 FRICTION = """
 <mujoco><option timestep="0.001" gravity="0 0 0"><flag contact="disable"/></option>
 <worldbody>

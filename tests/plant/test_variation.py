@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from physid.effects.catalogue import CATALOGUE, add_effects
+from physid.plant.linear_variation import is_linear
+from physid.plant.simulation import networks_of
 
-from .rigs import CART, FRICTION, SERVOS, inputs_for, load_text, twice
+from .rigs import CART, FRICTION, LINEAR, SERVOS, inputs_for, load_text, twice
 from .test_network import EFFECTS, rig_for
 
 STEP = 1e-5
@@ -41,7 +43,7 @@ def compared(model, names, samples=400, windows=(0, 150)):
     moved = [x + STEP * np.eye(n)[i] for i in range(n)]
     initial = [x, *moved, *[x] * len(names)]
     sizes = np.concatenate([np.full(n, STEP), sizes])
-    assert simulator.follows(plants)
+    assert simulator.follows(plants, 0)
     controls = simulator.controls(plants, inputs)
     channels = np.arange(len(simulator.sensor_map))
     asked = channels, np.ones(len(channels))
@@ -70,6 +72,7 @@ def worst(found, wanted):
 
 FRICTIONS = ("one.frictionloss", "two.frictionloss", "shaft.frictionloss")
 RIGS = {
+    "nothing but springs": (LINEAR, ("a.mass", "one.stiffness", "shaft.damping", "motor.gear")),
     "friction": (FRICTION, ("a.mass", "shaft.stiffness", "shaft.damping", *FRICTIONS)),
     "cart": (CART, ("cart.mass", "rail.stiffness", "rail.damping", "belt.stiffness")),
     "servos": (SERVOS, ("a.mass", "one.damping")),
@@ -99,8 +102,27 @@ def test_derivatives_with_every_effect(effect):
     assert worst(found.by_changes, wanted).max() < allowed
 
 
+@pytest.mark.parametrize(
+    "effect",
+    [
+        "unmodelled_mode@a:mass=0.1,stiffness=30,damping=0.2",
+        "actuator_lag@motor:time_constant=0.02",
+        "input_delay@motor:delay=0.0031",
+        "added_inertia@two:armature=0.1",
+    ],
+)
+def test_derivatives_of_rigs_that_stay_linear(effect):
+    model, _ = add_effects(load_text(LINEAR), [effect])
+    (placed,) = model.effects
+    own = [f"{model.site(placed)}.{c.name}" for c in placed.effect.coefficients]
+    found, wanted, ends = compared(model, ["b.mass", "shaft.stiffness", *own], windows=(0, 37, 150))
+    assert is_linear(networks_of([model.compile(1e-3)], exact=True)[0])
+    assert worst(found.by_changes, wanted).max() < EXACTLY
+    assert np.abs(found.ends - ends).max() < EXACTLY * np.abs(ends).max()
+
+
 @pytest.mark.parametrize("effect", BEYOND)
 def test_what_is_not_found_along_a_run_is_said(effect):
     model, _ = add_effects(rig_for(effect), [f"{effect}@{EFFECTS[effect]}"])
     simulator = replace(twice(model, n=20)[2], exact=True)
-    assert not simulator.follows([model.compile(simulator.step)] * 2)
+    assert not simulator.follows([model.compile(simulator.step)] * 2, 0)
