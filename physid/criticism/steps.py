@@ -14,6 +14,7 @@ from physid.criticism.diagnosis import Candidate, Diagnosis, led_by
 from physid.criticism.merit import LEAST_GAIN
 from physid.criticism.refit import start_of, with_candidate
 from physid.errors import DivergedError, NumericsError
+from physid.identification.accuracy import SHARE
 from physid.identification.beginnings import with_likely_beginnings
 from physid.identification.estimate import Estimate
 from physid.identification.fitting import Fitted, fit_study
@@ -27,8 +28,8 @@ from physid.identification.windows import whole
 from physid.plant.effect import Placed
 from physid.plant.model import Model
 
-SAME = 1.0 + 1e-4
-"""Misfit of the same motion in shorter steps, as a share of what it was."""
+SAME = 1.0 + SHARE**2
+"""Squares of the same motion in steps as short as a file needs, as a share of what they were."""
 MOST_ALIKE = 3
 """Effects that could not be told from an added one, of which it is asked again whether they can."""
 
