@@ -75,7 +75,8 @@ class Problem:
             if len(known) >= MOST_FAMILIES:
                 known.pop(next(iter(known)))
             at = thetas[0] if thetas else self.start()
-            known[key] = family_of(self.model, self.parameters, at, simulator.step)
+            like = known.get((simulator.step, *_without_an_effect(self.model, free)))
+            known[key] = family_of(self.model, self.parameters, at, simulator.step, like)
         return known[key]
 
     @property
@@ -116,6 +117,16 @@ class Problem:
     def measurements(self) -> int:
         """Return the number of measured numbers."""
         return sum(len(w.starts) * w.samples for w in self.windows) * len(self.sigma)
+
+
+def _without_an_effect(
+    model: Model, free: tuple[str, ...]
+) -> tuple[tuple[str, ...], tuple[object, ...]]:
+    """Return what is free in a model without the effect added last, and what else tells it from others."""
+    fewer = replace(model, effects=model.effects[:-1])
+    gone = {model.site(p) for p in model.effects[-1:]}
+    rest = tuple(name for name in free if name.rsplit(".", 1)[0] not in gone)
+    return rest, fewer.fixed_values(rest)
 
 
 def with_memory(

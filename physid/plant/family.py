@@ -4,11 +4,13 @@ The parts of a constant-mass rig (:class:`~physid.plant.parts.Parts`) are affine
 stiffnesses, dampings, frictions, masses, armatures, and the coefficients of most effects.  Whether
 they are is found out, not assumed: the model is compiled at one point and at one step of each
 parameter; two further points, one of them far off, must agree to rounding, or every plant is compiled as before.
+An effect more seldom changes what the model's own parameters do, which is then guessed, and held against the
+same two points.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -111,7 +113,11 @@ class Family:
 
 
 def family_of(
-    model: Model, parameters: Sequence[Parameter], theta: np.ndarray, step: float
+    model: Model,
+    parameters: Sequence[Parameter],
+    theta: np.ndarray,
+    step: float,
+    like: Family | None = None,
 ) -> Family | None:
     """Probe how a model's parts depend on parameters; None where not affinely.
 
@@ -124,17 +130,38 @@ def family_of(
         Where to probe.
     step : float
         Integration step [s].
+    like : Family, optional
+        Of the model without one of its effects.
     """
     at = np.array([t or p.scale for t, p in zip(theta, parameters, strict=True)])
-    moves = np.array([_move(p, t) for p, t in zip(parameters, at, strict=True)])
     names = tuple(p.name for p in parameters)
     probe = _Probe(model, names, step)
     first = probe.read(at)
     if first is None:
         return None
+    guessed = {} if like is None else _slopes_like(like, names, at, first[1])
+    for known in (guessed, {}) if guessed else ({},):
+        found = _probed(probe, parameters, at, first, known)
+        if found is not None:
+            return found
+    return None
+
+
+def _probed(
+    probe: _Probe,
+    parameters: Sequence[Parameter],
+    at: np.ndarray,
+    first: tuple[Plant, Parts, np.ndarray],
+    known: Mapping[str, np.ndarray],
+) -> Family | None:
+    """Find the slopes that are not known, and hold all of them against two further points."""
     reference, parts, base = first
+    moves = np.array([_move(p, t) for p, t in zip(parameters, at, strict=True)])
     columns = []
     for k, move in enumerate(moves):
+        if parameters[k].name in known:
+            columns.append(known[parameters[k].name])
+            continue
         found = probe.read(at + move * np.eye(len(at))[k])
         if found is None or not _same_shape(found[1], parts):
             return None
@@ -151,8 +178,8 @@ def family_of(
             return None
     moving, rows = _moving(parts, slopes)
     return Family(
-        model=model,
-        names=names,
+        model=probe.model,
+        names=probe.names,
         reference=reference,
         parts=parts._replace(friction=parts.friction * OWN_FRICTION),
         at=at,
@@ -160,6 +187,44 @@ def family_of(
         base=base[rows],
         slopes=slopes[rows],
     )
+
+
+def _slopes_like(
+    like: Family, names: Sequence[str], at: np.ndarray, parts: Parts
+) -> dict[str, np.ndarray]:
+    """Guess slopes (z,) of numbers of parts by the parameters of a family: rows that are its rows go as they do."""
+    own = dict(zip(names, at, strict=True))
+    if not all(name in own for name in like.names):
+        return {}
+    theirs, _ = like.parts_at(np.array([own[name] for name in like.names]))
+    moving = {m.name: m.numbers for m in like.moving}
+    count = len(like.reference.delays)
+    columns = []
+    for name in _varying(parts):
+        array, other = getattr(parts, name), getattr(theirs, name)
+        found = np.zeros((*array.shape, len(like.names)))
+        if name in moving:
+            slopes = like.slopes[moving[name]].reshape(*other.shape, len(like.names))
+            pairs = _same_rows(array, other)
+            found[[i for i, _ in pairs]] = slopes[[j for _, j in pairs]]
+        columns.append(found.reshape(array.size, len(like.names)))
+    columns.append(like.slopes[len(like.slopes) - count :])
+    stacked = np.concatenate(columns)
+    return {name: stacked[:, k] for k, name in enumerate(like.names)}
+
+
+def _same_rows(one: np.ndarray, other: np.ndarray) -> list[tuple[int, int]]:
+    """Pair equal rows of two arrays, in order; all rows where there are as many."""
+    if one.shape == other.shape:
+        return [(i, i) for i in range(len(one))]
+    pairs, next_one = [], 0
+    for j in range(len(other)):
+        for i in range(next_one, len(one)):
+            if np.allclose(one[i], other[j], rtol=EXACTLY, atol=0.0):
+                pairs.append((i, j))
+                next_one = i + 1
+                break
+    return pairs
 
 
 def _moving(parts: Parts, slopes: np.ndarray) -> tuple[tuple[Moving, ...], np.ndarray]:

@@ -11,6 +11,8 @@ from physid.plant.family import family_of
 from .rigs import PENDULUM, load_text
 from .test_network import EFFECTS, rig_for
 
+TAKEN_OVER = ("backlash", "stiffness_change", "switched_damping")
+"""Effects in whose law a spring or a damper of the rig is: its parameter then does something else."""
 NAMES = ("one.damping", "two.damping", "shaft.stiffness", "shaft.damping", "one.armature")
 
 
@@ -84,3 +86,30 @@ def test_a_number_that_is_cut_off_nearby_is_not_taken_for_one_that_never_moves()
     assert family_of(model, parameters, at, 1e-3) is not None
     # Below half a step it is no lag, whatever it is.
     assert family_of(model, parameters, np.array([1e-4]), 1e-3) is None
+
+
+@pytest.mark.parametrize("effect", [e.name for e in CATALOGUE])
+def test_a_family_beside_an_effect_is_guessed_from_that_without_and_is_the_same(
+    effect, monkeypatch
+):
+    base = rig_for(effect)
+    model, _ = add_effects(base, [f"{effect}@{EFFECTS[effect]}"])
+    known = [p.name for p in base.every_parameter()]
+    own = [n for n in NAMES if n in known]
+    like = family_of(base, *parameters_of(base, own), 1e-3)
+    names = own + model.effect_parameters()
+    parameters, at = parameters_of(model, names)
+    found = family_of(model, parameters, at, 1e-3)
+    compiled = []
+    compile_model = type(model).compile
+    monkeypatch.setattr(
+        type(model), "compile", lambda *a, **k: compiled.append(1) or compile_model(*a, **k)
+    )
+    guessed = family_of(model, parameters, at, 1e-3, like)
+    if effect not in TAKEN_OVER:
+        # One point, one step of each of its coefficients, and two to hold all of it against.
+        assert len(compiled) == 3 + len(names) - len(own)
+    theta = at * np.linspace(0.6, 1.4, len(at))
+    ours, theirs = guessed.plant(theta), found.plant(theta)
+    assert largest_difference(ours.network, theirs.network) < 1e-12
+    assert ours.delays == pytest.approx(theirs.delays, abs=1e-15)
