@@ -393,7 +393,7 @@ def _from_file(
         [replace(w, simulator=replace(w.simulator, structure=structure)) for w in problem.windows]
     )
     try:
-        estimate = begun_alike(problem, fitted.estimate)
+        estimate = begun_alike(problem, fitted.problem, fitted.estimate)
     except DivergedError:
         return step, ["The written file's simulation diverges; the figures are the fit's."]
     change = abs(np.sqrt(estimate.squares / max(fitted.estimate.squares, 1e-300)) - 1.0)
@@ -406,8 +406,7 @@ def _from_file(
         fitted,
         estimate=replace(fitted.estimate, states=estimate.states, residuals=estimate.residuals),
     )
-    known = None if step.tested is None else step.tested[1]
-    tested = simulated_on(model, problem, tests, known)
+    tested = simulated_on(model, problem, tests, step.tested)
     if tests and tested is None:
         notes.append("The refined model diverges along the test records; their error is not shown.")
     return replace(step, fitted=kept, tested=tested), notes

@@ -19,17 +19,20 @@ from physid.identification.beginnings import with_likely_beginnings
 from physid.identification.estimate import Estimate
 from physid.identification.fitting import Fitted, fit_study
 from physid.identification.freedom import identifiable_beside
+from physid.identification.linearisation import reduce
 from physid.identification.output_error import minimise
 from physid.identification.problem import Problem, residuals_of
 from physid.identification.sizes import scales_of
 from physid.identification.staged import quick, states_only
 from physid.identification.study import Study
-from physid.identification.windows import whole
+from physid.identification.windows import state_indices, whole
 from physid.plant.effect import Placed
 from physid.plant.model import Model
 
 SAME = 1.0 + SHARE**2
 """Squares of the same motion in steps as short as a file needs, as a share of what they were."""
+NEAR = 1.05
+"""... up to which one step of the initial states is enough."""
 MOST_ALIKE = 3
 """Effects that could not be told from an added one, of which it is asked again whether they can."""
 
@@ -80,9 +83,12 @@ def _is_noise_like(fitted: Fitted) -> bool:
 
 
 def simulated_on(
-    model: Model, fitted: Problem, tests: Sequence[Any], known: Estimate | None = None
+    model: Model,
+    fitted: Problem,
+    tests: Sequence[Any],
+    known: tuple[Problem, Estimate] | None = None,
 ) -> tuple[Problem, Estimate] | None:
-    """Simulate test records with every parameter frozen; only initial states are estimated, or near known ones.
+    """Simulate test records with every parameter frozen; only initial states are estimated, near known ones if any.
 
     They decide nothing: a model that diverges on them is shown without them.
     """
@@ -93,27 +99,49 @@ def simulated_on(
     problem = Problem(model=model, parameters=(), windows=windows, sigma=fitted.sigma)
     try:
         problem = with_likely_beginnings(problem, np.zeros(0))
-        return problem, states_only(problem) if known is None else begun_alike(problem, known)
+        return problem, states_only(problem) if known is None else begun_alike(problem, *known)
     except DivergedError:
         return None
 
 
-def begun_alike(problem: Problem, known: Estimate) -> Estimate:
-    """Simulate frozen parameters from the initial states of an estimate of the same motion.
+def begun_alike(problem: Problem, before: Problem, known: Estimate) -> Estimate:
+    """Simulate frozen parameters from initial states known for the same motion in longer steps.
 
-    Where the misfit is not the same from there they are estimated anew.
+    Where the misfit is not the same from there, they take one step by the sensitivities in longer steps, since runs
+    in shorter ones are dear; where it is not even near then, they are estimated anew.
 
     Raises
     ------
     DivergedError
         If the simulation diverges.
     """
-    residuals = residuals_of(problem, [np.zeros(0)], [known.states])[0]
-    found = replace(known, theta=np.zeros(0), residuals=residuals, point=None)
-    found = replace(found, chi2=found.squares)
+    found = _begun_from(problem, known.states)
     if found.squares < SAME * known.squares:
         return found
-    return states_only(problem, known.states)
+    with suppress(DivergedError):
+        frozen = replace(before, model=before.at(known.theta), parameters=())
+        point = reduce(frozen, np.zeros(0), known.states, known.residuals)
+        if point.rows and np.isfinite(found.squares):
+            shifts = point.at(found.residuals).state_steps(np.zeros(0))
+            moved = [x.copy() for x in known.states]
+            for x, shift in zip(moved, shifts, strict=True):
+                x[:, state_indices(problem.model)] += shift
+            other = _begun_from(problem, moved)
+            found = other if other.squares < found.squares else found
+    return found if found.squares < NEAR * known.squares else states_only(problem, known.states)
+
+
+def _begun_from(problem: Problem, states: list[np.ndarray]) -> Estimate:
+    residuals = residuals_of(problem, [np.zeros(0)], [states])[0]
+    squares = float(sum(np.vdot(r, r) for r in residuals))
+    return Estimate(
+        theta=np.zeros(0),
+        states=states,
+        residuals=residuals,
+        chi2=squares,
+        iterations=0,
+        converged=True,
+    )
 
 
 @dataclass(frozen=True, slots=True)
