@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from physid.criticism.base import Base
+from physid.criticism.base import NOISE_LIKE, Base
 from physid.errors import ModelError, NumericsError
 from physid.identification.beginnings import with_likely_beginnings
 from physid.identification.estimate import Estimate
@@ -29,6 +29,9 @@ FAR_OFF = 2.0
 """Times its goal's mean squares on long windows that a fit may leave on short ones to be followed."""
 NEARLY, FAR_FROM = 2.0, 2.0
 """Mean squares over the noise's of what nearly fits one horizon, and times those that no other then may leave."""
+BEHIND, MOST_TURNS = 4.0, 3
+"""Times the share of what the base leaves beyond noise that a candidate leaves on its best horizon, from which it is
+behind on another; and how often it is fitted there, for the best horizon may be another one then."""
 SHAPES = (0.5, 2.0)
 """Times its value from which what bends a law is fitted once more, where more than noise is left."""
 ROOM = 0.98
@@ -520,6 +523,43 @@ def _none_stuck(base: Base, trial: Problem, fits: dict[str, Estimate]) -> dict[s
             with suppress(NumericsError, ModelError):
                 found[horizon] = fit_apart(problem, fits[best].theta, fits[horizon])
     return found
+
+
+def none_left_behind(base: Base, fit: Refit) -> Refit:
+    """Return a candidate fitted again where it leaves a far larger share of what the base does than elsewhere.
+
+    Windows that begin on a wrong side of a friction hold up all others, and a fit ends where it began.  Each finds
+    its own way back at the parameters of the horizon on which the candidate does best.
+    """
+    if not compiled(fit.problem):
+        return fit
+    found = dict(fit.fits)
+    for _ in range(MOST_TURNS):
+        shares = {h: _share_left(base, e, h) for h, e in found.items()}
+        best = min(shares, key=lambda h: shares[h])
+        behind = [h for h in found if _more_than_noise(base, found[h], h)]
+        behind = [h for h in behind if shares[h] > BEHIND * shares[best]]
+        if not behind or not _halves(base, found[best], best):
+            break
+        known = dict(found)
+        for horizon in behind:
+            problem = fit.on(base.problems[horizon].windows)
+            with suppress(NumericsError, ModelError):
+                found[horizon] = fit_apart(problem, found[best].theta, found[horizon])
+        if all(found[h] is known[h] for h in behind):
+            break
+    return replace(fit, fits=found)
+
+
+def _share_left(base: Base, fit: Estimate, horizon: str) -> float:
+    """Return what a fit leaves beyond noise at a horizon over what the base does."""
+    noise = base.problems[horizon].measurements()
+    left = max(base.fits[horizon].squares - noise, np.sqrt(2.0 * noise))
+    return float(max(fit.squares - noise, 0.0) / left)
+
+
+def _more_than_noise(base: Base, fit: Estimate, horizon: str) -> bool:
+    return fit.squares > NOISE_LIKE * base.problems[horizon].measurements()
 
 
 def _halves(base: Base, fit: Estimate, horizon: str) -> bool:

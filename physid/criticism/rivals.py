@@ -9,7 +9,7 @@ import numpy as np
 
 from physid.criticism.base import Base
 from physid.criticism.merit import LEAST_GAIN, ordered, remembers
-from physid.criticism.refit import Refit, kind_of, with_other_values
+from physid.criticism.refit import Refit, kind_of, none_left_behind, with_other_values
 from physid.errors import NumericsError
 from physid.identification.accuracy import refine_steps, with_substeps
 from physid.identification.estimate import Estimate
@@ -34,6 +34,9 @@ def at_their_minimum(study: Study, base: Base, fits: list[Refit]) -> list[Refit]
     if not study.options.steps:
         fits = [_in_shorter_steps(base, f) if _within(CONTENDING, f, fits[0]) else f for f in fits]
         fits = ordered(base, fits)
+    if any(_is_ahead(f, fits[0]) for f in fits[1:]):
+        mended = [none_left_behind(base, f) if _is_ahead(f, fits[0]) else f for f in fits]
+        fits = ordered(base, mended)
     rivals = [f for f in fits if _rivals(f, fits[0])]
     if len(rivals) < 2:
         return fits
@@ -70,7 +73,12 @@ def _rivals(fit: Refit, best: Refit) -> bool:
     """
     if remembers(fit) and not remembers(best):
         return _within(RIVALLING, fit, best)
-    return _is_elsewhere(fit, best) or any(
+    return _is_elsewhere(fit, best) or _is_ahead(fit, best)
+
+
+def _is_ahead(fit: Refit, best: Refit) -> bool:
+    """Say whether a candidate leaves about as little as the best on some long horizon."""
+    return any(
         fit.fits[h].squares < RIVALLING * best.fits[h].squares
         for h in fit.fits
         if h != "short" and h in best.fits

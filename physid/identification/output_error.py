@@ -19,7 +19,7 @@ from physid.errors import DivergedError
 from physid.identification.estimate import Estimate
 from physid.identification.linearisation import Reduced, normal_equations, reduce
 from physid.identification.problem import Problem, residuals_of, with_activations
-from physid.identification.windows import Windows, initial_states, state_indices
+from physid.identification.windows import Windows, initial_states, resting, state_indices
 from physid.plant.model import Model
 
 HUGE = 1e100
@@ -198,13 +198,39 @@ def _falls_short(passed: Sequence[float], chi2: float, left: int, goal: float) -
 def _begun(problem: Problem, theta: np.ndarray | None, states: list[np.ndarray] | None) -> _Point:
     """Return where a fit starts, with its residuals and their squares."""
     theta = problem.start() if theta is None else theta.copy()
+    guessed = states is None
     states = problem.states() if states is None else [x.copy() for x in states]
     states = problem.completed(theta, states)
+    if guessed:
+        states = _at_rest(problem, theta, states)
     residuals = residuals_of(problem, [theta], [states])[0]
     chi2 = _chi2(problem, theta, residuals)
     if not np.isfinite(chi2):
         raise DivergedError(divergence_sentence(problem, residuals))
     return theta, states, residuals, chi2
+
+
+def _at_rest(problem: Problem, theta: np.ndarray, states: list[np.ndarray]) -> list[np.ndarray]:
+    """Return guessed initial states; those with which records begin are at rest where that fits better.
+
+    A record mostly begins so.  A speed, or the stretch of a spring, that is guessed from noise breaks loose what a
+    friction holds, and no step leads back from there.
+    """
+    firsts = [np.flatnonzero(w.starts == 0) for w in problem.windows]
+    begun = [e for e, w in enumerate(problem.windows) if len(firsts[e]) and w.simulator.compiled]
+    if not begun:
+        return states
+    few = problem.with_windows([problem.windows[e].take(firsts[e]) for e in begun])
+    moving = [states[e][firsts[e]] for e in begun]
+    still = zip(*(resting(problem.model, x) for x in moving), strict=True)
+    guesses = [moving, *(problem.completed(theta, list(g)) for g in still)]
+    runs = residuals_of(few, [theta] * len(guesses), guesses)
+    found = [x.copy() for x in states]
+    for k, e in enumerate(begun):
+        left = np.array([np.sum(run[k] ** 2, axis=(1, 2)) for run in runs])
+        best = np.argmin(np.where(np.isfinite(left), left, np.inf), axis=0)
+        found[e][firsts[e]] = np.array([guesses[g][k][i] for i, g in enumerate(best)])
+    return found
 
 
 class _Step(NamedTuple):

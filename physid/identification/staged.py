@@ -20,6 +20,7 @@ from physid.identification.windows import (
     Windows,
     cut,
     initial_states,
+    resting,
     typical_period,
     whole,
 )
@@ -466,6 +467,8 @@ def followed(problem: Problem, theta: np.ndarray) -> list[np.ndarray] | None:
 def mended(problem: Problem, estimate: Estimate) -> Estimate:
     """Return a fit whose windows that stand out start anew: from joints that move together, or where others end.
 
+    Before the first window of a record none ends: it starts anew at rest.
+
     Behind a gap or a friction a window's misfit has minima of its own, and a speed guessed from noise
     may lead to a wrong one.  Parameters stay as they are; a window keeps what fits it better.
     """
@@ -480,6 +483,10 @@ def mended(problem: Problem, estimate: Estimate) -> Estimate:
         if len(odd):
             guess = initial_states(frozen.model, windows.take(odd), together=True)
             _started_anew(frozen, e, odd, guess, states[e], residuals[e])
+        odd = np.intersect1d(_outstanding(residuals[e]), np.flatnonzero(windows.starts == 0))
+        if len(odd):
+            for guess in resting(frozen.model, initial_states(frozen.model, windows.take(odd))):
+                _started_anew(frozen, e, odd, guess, states[e], residuals[e])
         for _ in range(HANDED_ON):
             rows, guess = _handed_over(frozen, e, _outstanding(residuals[e]), states[e])
             if not len(rows) or not _started_anew(frozen, e, rows, guess, states[e], residuals[e]):

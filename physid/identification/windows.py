@@ -168,6 +168,16 @@ def measured_states(
     return states
 
 
+def resting(model: Model, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return states (w, nq + nv) at rest: where they are, and in the model's initial position."""
+    nq, nv = model.structure.nq, model.structure.nv
+    still = states[:, : nq + nv].copy()
+    still[:, nq:] = 0.0
+    home = still.copy()
+    home[:, :nq] = model.nominal.qpos0
+    return still, home
+
+
 def moves(rows: np.ndarray) -> np.ndarray:
     """Return a column of ones where a channel shows motion and zeros where it does not (ny, 1)."""
     return np.asarray(np.any(rows != 0, axis=1, keepdims=True), dtype=float)

@@ -7,8 +7,8 @@ import pytest
 
 from physid.effects.catalogue import load_model
 from physid.identification import staged
-from physid.identification.output_error import minimise
-from physid.identification.staged import LONG, fit_apart, states_only, windowed
+from physid.identification.output_error import _at_rest, minimise
+from physid.identification.staged import LONG, fit_apart, mended, states_only, windowed
 from physid.identification.study import Options, prepare
 from physid.identification.windows import initial_states
 from tests.truth.bank import draw, make, with_names, write
@@ -75,3 +75,28 @@ def test_windows_fitted_apart_leave_noise_from_bent_states(problem):
     assert (
         fit_apart(trial, near, best) is best
     )  # initial states alone leave more at those parameters
+
+
+def test_a_record_begins_at_rest_where_that_fits_better_than_a_guess(problem):
+    frozen = replace(problem, parameters=())
+    fast = [x + np.array([0.0, 0.0, 50.0, -50.0]) for x in problem.states()]
+    found = _at_rest(frozen, np.zeros(0), fast)
+    assert np.all(found[0][0, 2:] == 0.0)
+    assert np.array_equal(found[0][1:], fast[0][1:])  # where it begins alone
+    right = states_only(problem).states
+    assert np.array_equal(_at_rest(frozen, np.zeros(0), right)[0], right[0])
+
+
+def test_a_first_window_that_stands_out_starts_anew_at_rest(problem, monkeypatch):
+    frozen = replace(problem, parameters=())
+    states = [x.copy() for x in states_only(problem).states]
+    states[0][0] += 50.0
+    lost = minimise(frozen, np.zeros(0), states, iterations=0)
+
+    def wrong(model, windows, **options):
+        return initial_states(model, windows) + np.array([0.0, 0.0, 50.0, -50.0])
+
+    monkeypatch.setattr(staged, "initial_states", wrong)
+    left = [float(np.mean(e.residuals[0][0] ** 2)) for e in (lost, mended(frozen, lost))]
+    assert left[0] > 100.0
+    assert left[1] < 2.0
