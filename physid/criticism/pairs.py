@@ -132,8 +132,7 @@ def pairs_beside(
         problems = {h: single.on(base.problems[h].windows) for h in single.fits}
         rest = _partners(problems["long"], single, candidates)
         lost = single.fits["long"].squares > LOST * base.problems["long"].measurements()
-        # Partners are told by what is left over long, if anything is: on short windows a single leaves little of it.
-        telling = {h: e for h, e in single.fits.items() if lost or h != "short"}
+        telling = {h: e for h, e in single.fits.items() if lost or _tells_partners(base, single, h)}
         grounds = grounds_of(problems, telling)
         if vanished(problems["long"], single.fits["long"].theta):
             with suppress(NumericsError):
@@ -160,6 +159,16 @@ def pairs_beside(
         if any(noise_like(base, pair, NOISE_ALONE) for pair in found):
             break  # no pair from a worse single can do better
     return found
+
+
+def _tells_partners(base: Base, single: Refit, horizon: str) -> bool:
+    """Say whether what a single leaves at a horizon tells its partners.
+
+    That is what is left over long, if anything is: on short windows a single leaves little of it.  Where it leaves
+    much there too, errors have not grown yet, and what is fast, as a delay, promises more than over long.
+    """
+    noise = base.problems[horizon].measurements()
+    return horizon != "short" or single.fits[horizon].squares > STILL_FAR * noise
 
 
 def _pair(

@@ -608,6 +608,15 @@ def test_a_candidate_is_fitted_again_where_it_leaves_a_larger_share_than_elsewhe
     assert again.fits["short"] is found.fits["short"]
 
 
+def test_short_windows_tell_partners_where_a_single_leaves_much_there(rubbing):
+    base, found = rubbing.base, refitted(rubbing)
+    assert pairs._tells_partners(base, found, "long")
+    assert not pairs._tells_partners(base, found, "short")
+    assert base.fits["short"].squares > pairs.STILL_FAR * base.problems["short"].measurements()
+    little = replace(found, fits={**found.fits, "short": base.fits["short"]})
+    assert pairs._tells_partners(base, little, "short")
+
+
 def test_effects_that_gain_the_same_count_as_one():
     def scored(name, gain):
         return SimpleNamespace(effect=SimpleNamespace(name=name), place=HINGE, gain=gain)
