@@ -45,6 +45,10 @@ TOLD_APART = 10.0
 DRIFTED = 2.0
 """Mean squares over the noise's that a model from which nothing is missing leaves at most at any horizon."""
 
+HELD_UP = 0.5
+"""Part of the share of squares that a candidate removes where it was chosen, that it must remove on judging data to be
+named where it leaves more than noise: what is missing does the same on any data, what only imitates it does not."""
+
 FINER_SPLIT = Split(4)
 """... where what is missing shows only in stretches that are kept for judging, as a resonance does in a sweep."""
 
@@ -277,13 +281,10 @@ def _verdict(
         best = ranked[0]
         after = best.refit.fits["long"].squares / base.problems["long"].measurements()
         share = best.explained if named == NAMED else explained_beside(base, best.refit)
-        certain = share >= named and best.p_value < CERTAIN
+        certain = share >= named and best.p_value < CERTAIN and _holds_up(base, best)
         if after < NOISE_LIKE or (certain and not _one_does_as_much(ranked)):
             return "effect_missing", _missing_sentence(study, best)
-        return "unexplained", (
-            "Something is missing that no effect of the catalogue explains: the best candidate, "
-            f"{describe(best.refit)}, removes {100 * best.explained:.0f} % of the excess error."
-        )
+        return "unexplained", _unexplained_sentence(best)
     chosen = [f.squares / base.problems[h].measurements() for h, f in base.fits.items()]
     longest = max(*chosen, *_left_at_best(judging))
     if ratio < NOISE_LIKE and longest < DRIFTED:
@@ -305,8 +306,18 @@ def _verdict(
 def _real(base: Base, best: Candidate) -> bool:
     """Say whether the best candidate is more than chance: large enough, significant, and holding up."""
     share = 1.0 - min(best.refit.ratio(base, h) for h in best.refit.fits)
-    held = 1.0 - best.judgement.squares_after / max(best.judgement.squares_before, 1e-300)
+    held = _removed_on_judging(best)
     return best.score < -LEAST_GAIN and share > LEAST_SHARE and best.p_value < CHANCE and held > 0.0
+
+
+def _holds_up(base: Base, best: Candidate) -> bool:
+    """Say whether a candidate removes squares over long windows where nothing was chosen as well."""
+    return _removed_on_judging(best) >= HELD_UP * (1.0 - best.refit.ratio(base, "long"))
+
+
+def _removed_on_judging(best: Candidate) -> float:
+    """Return the share of the squares that a candidate removes from data that took no part in choosing it."""
+    return 1.0 - best.judgement.squares_after / max(best.judgement.squares_before, 1e-300)
 
 
 def _one_does_as_much(ranked: Sequence[Candidate]) -> bool:
@@ -342,6 +353,13 @@ def _in_words(name: str) -> str:
     """Write an effect's name in words: ``Coulomb friction``."""
     first, *rest = name.split("_")
     return " ".join([first.capitalize() if first in PROPER else first, *rest])
+
+
+def _unexplained_sentence(best: Candidate) -> str:
+    return (
+        "Something is missing that no effect of the catalogue explains: the best candidate, "
+        f"{describe(best.refit)}, removes {100 * best.explained:.0f} % of the excess error."
+    )
 
 
 def _missing_sentence(study: Study, best: Candidate) -> str:

@@ -294,3 +294,18 @@ def test_what_gains_whatever_size_it_has_is_not_added(errors, has):
         uncertainty=SimpleNamespace(std_error=np.array([0.01, *errors])),
     )
     assert refinement._has_a_size(fitted, placed) is has
+
+
+@pytest.mark.parametrize(
+    ("chosen", "judged", "holds"),
+    [
+        (0.1, 0.1, True),
+        (0.14, 0.65, False),  # removes 86 % where it was chosen and 35 % elsewhere
+        (0.95, 0.97, True),  # little is left to remove: as little elsewhere
+        (0.1, np.nan, False),
+    ],
+)
+def test_what_is_named_beside_more_than_noise_holds_where_nothing_was_chosen(chosen, judged, holds):
+    judgement = SimpleNamespace(squares_before=1.0, squares_after=judged)
+    refit = SimpleNamespace(ratio=lambda base, horizon: chosen)
+    assert diagnosis._holds_up(None, SimpleNamespace(refit=refit, judgement=judgement)) is holds
