@@ -309,3 +309,13 @@ def test_what_is_named_beside_more_than_noise_holds_where_nothing_was_chosen(cho
     judgement = SimpleNamespace(squares_before=1.0, squares_after=judged)
     refit = SimpleNamespace(ratio=lambda base, horizon: chosen)
     assert diagnosis._holds_up(None, SimpleNamespace(refit=refit, judgement=judgement)) is holds
+
+
+def test_parameters_that_lose_on_other_data_what_no_noise_takes_are_not_steady(study, found):
+    judging = diagnosis._judging(study, found.base)
+    held = {h: replace(b, before=b.ground.estimate) for h, b in judging.items()}
+    assert diagnosis._is_steady(found.base, held)
+    worse = [2.0 * r for r in judging["long"].before.residuals]
+    lost = replace(judging["long"], before=replace(judging["long"].before, residuals=worse))
+    assert not diagnosis._is_steady(found.base, {**held, "long": lost})
+    assert diagnosis._is_steady(found.base, {})
