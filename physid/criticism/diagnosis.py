@@ -191,6 +191,12 @@ def led_by(study: Study, found: Diagnosis, k: int) -> Diagnosis:
     return replace(found, candidates=candidates, sentence=sentence)
 
 
+def not_named(found: Diagnosis) -> Diagnosis:
+    """Return a diagnosis whose best candidate leaves so much after all that it is not what is missing."""
+    sentence = _unexplained_sentence(found.candidates[0])
+    return replace(found, verdict="unexplained", sentence=sentence)
+
+
 def with_effects(study: Study, candidate: Candidate, horizon: str = "long") -> Study:
     """Return the study with a candidate's effects in its model, at the values fitted at a horizon.
 

@@ -32,12 +32,14 @@ from physid.criticism.diagnosis import (
     Diagnosis,
     candidate_rows,
     describe,
+    not_named,
     with_effects,
 )
 from physid.criticism.freeing import diagnosed_freely, with_freed
 from physid.criticism.leads import Lead, read_leads, silence_notes
 from physid.criticism.localisation import where
 from physid.criticism.merit import LEAST_GAIN
+from physid.criticism.pairs import CERTAINLY, HALF_NAMED
 from physid.criticism.pictures import diagnosis_curves, tested_curves
 from physid.criticism.refit import start_of, with_candidate
 from physid.criticism.steps import (
@@ -162,8 +164,7 @@ def _rounds(
             remaining = "nothing_missing" if _is_noise(steps[-1].fitted) else "unexplained"
             break
     assert first is not None
-    if remaining == "nothing_missing" and not _holds_on_whole_records(steps[-1].fitted, found):
-        remaining = "unexplained"
+    first, steps, remaining = _seen_as_a_whole(first, steps, found, remaining)
     steps = with_kinds_chosen_again(begun, tests, steps)
     study.options.report("writing the refined model", 0.95)
     return _refinement(study, tests, steps, first, remaining)
@@ -186,10 +187,35 @@ def _from_here(study: Study, fitted: Fitted) -> Study:
     return replace(study, problem=problem, theta=fitted.estimate.theta, states=None)
 
 
+def _seen_as_a_whole(
+    first: Diagnosis, steps: list[Step], found: Diagnosis, remaining: str
+) -> tuple[Diagnosis, list[Step], str]:
+    """Return the first diagnosis, the steps and what remains, once whole records are looked at as well."""
+    if remaining == "nothing_missing" and not _holds_on_whole_records(steps[-1].fitted, found):
+        remaining = "unexplained"
+    if remaining == "unexplained" and _explains_part(first, steps):
+        return not_named(first), steps[:1], remaining
+    return first, steps, remaining
+
+
 def _holds_on_whole_records(fitted: Fitted, found: Diagnosis) -> bool:
     """Say whether whole records are fitted about as well as windows, where nothing more was found."""
     mean = fitted.estimate.squares / fitted.problem.measurements()
     return mean < FAR_WORSE * max(found.noise_ratio, 1.0)
+
+
+def _explains_part(first: Diagnosis, steps: Sequence[Step]) -> bool:
+    """Say whether what is named and added explains but a part, on windows and on whole records, of what is certain.
+
+    Where little is missing, noise hides on windows what an effect leaves that only imitates it.
+    """
+    if first.verdict != "effect_missing" or len(steps) < 2:
+        return False
+    size = steps[-1].fitted.problem.measurements()
+    before, after = (s.fitted.estimate.squares for s in (steps[0], steps[-1]))
+    removed = (before - after) / max(before - min(size, after), 1e-300)
+    certain = after - size > CERTAINLY * np.sqrt(2.0 * size)
+    return bool(certain and max(removed, first.candidates[0].explained) < HALF_NAMED)
 
 
 def _is_noise(fitted: Fitted) -> bool:

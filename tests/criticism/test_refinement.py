@@ -319,3 +319,31 @@ def test_parameters_that_lose_on_other_data_what_no_noise_takes_are_not_steady(s
     lost = replace(judging["long"], before=replace(judging["long"].before, residuals=worse))
     assert not diagnosis._is_steady(found.base, {**held, "long": lost})
     assert diagnosis._is_steady(found.base, {})
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "on_windows", "part"),
+    [
+        (1.86, 1.29, 0.57, True),  # two thirds, and what is left is certain
+        (1.86, 1.29, 0.95, False),  # windows are explained
+        (1.86, 1.10, 0.57, False),  # whole records are
+        (1.06, 1.02, 0.57, False),  # what is left may be noise
+    ],
+)
+def test_what_explains_but_a_part_of_what_is_certain_is_not_named(before, after, on_windows, part):
+    def step(left):
+        estimate = SimpleNamespace(squares=left * 30_000.0)
+        problem = SimpleNamespace(measurements=lambda: 30_000)
+        return SimpleNamespace(fitted=SimpleNamespace(estimate=estimate, problem=problem))
+
+    best = SimpleNamespace(explained=on_windows)
+    found = SimpleNamespace(verdict="effect_missing", candidates=(best,))
+    assert refinement._explains_part(found, [step(before), step(after)]) is part
+    assert not refinement._explains_part(found, [step(before)])
+
+
+def test_what_is_not_named_after_all_is_told_with_what_it_removes(found):
+    told = diagnosis.not_named(found)
+    assert told.verdict == "unexplained"
+    assert told.candidates == found.candidates
+    assert f"removes {100 * found.candidates[0].explained:.0f} %" in told.sentence
