@@ -13,6 +13,8 @@ from physid.cli import main
 from physid.criticism import diagnosis, freeing, refinement, refit, steps
 from physid.effects.catalogue import effect_named
 from physid.errors import DivergedError
+from physid.identification.accuracy import with_substeps
+from physid.identification.staged import states_only
 from physid.identification.study import Options, prepare
 from physid.plant.effect import Placed
 from physid.record import write_record
@@ -347,3 +349,21 @@ def test_what_is_not_named_after_all_is_told_with_what_it_removes(found):
     assert told.verdict == "unexplained"
     assert told.candidates == found.candidates
     assert f"removes {100 * found.candidates[0].explained:.0f} %" in told.sentence
+
+
+def test_a_motion_in_shorter_steps_begins_where_it_did_in_longer_ones(study, monkeypatch):
+    problem = replace(study.problem, model=study.problem.at(study.theta), parameters=())
+    known = steps.states_only(problem)
+    finer = with_substeps(problem, 4 * problem.windows[0].simulator.substeps)
+    anew = []
+    monkeypatch.setattr(steps, "states_only", lambda *a: anew.append(1) or states_only(*a))
+    same = steps.begun_alike(finer, problem, known)
+    assert all(a is b for a, b in zip(same.states, known.states, strict=True))
+    # One step leads back from states that are not the best ones, and no fit is needed.
+    off = replace(known, states=[x + 2e-3 for x in known.states])
+    back = steps.begun_alike(finer, problem, off)
+    assert back.squares < 1.01 * same.squares
+    assert not anew
+    # From where one step does not lead back the states are estimated.
+    far = replace(known, states=[x + 1.0 for x in known.states])
+    assert steps.begun_alike(finer, problem, replace(far, chi2=0.0)).squares < 1.05 * same.squares
