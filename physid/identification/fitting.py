@@ -15,7 +15,7 @@ from physid.identification.estimate import Estimate
 from physid.identification.experiment import Experiment
 from physid.identification.force_balance import Balance, balance, observable, widths
 from physid.identification.instants import in_the_best_valley
-from physid.identification.problem import Problem, blocks_of
+from physid.identification.problem import Problem, blocks_of, residuals_of
 from physid.identification.staged import (
     LONG,
     compiled,
@@ -40,6 +40,9 @@ FAR_WORSE = 1.3
 FAR_FROM_OWN, NO_WORSE = 1.4, 2.0
 """Times its own value from which a parameter has moved so far that the model's own values are another start, and
 squares over the noise's by which the fit from there may be worse to be as good."""
+AT_BOUND, SMALLER = 1e-6, 0.25
+"""Distance to a bound, as a share of it, of what ended there; and times itself that it is tried next, while the fit stays
+as good."""
 MORE_THAN_WINDOWS = 1.01
 """Those of a minimum beside which another is looked for, from windows."""
 QUIET = 0.1
@@ -88,7 +91,7 @@ def estimated(study: Study, *, from_windows: bool = True) -> tuple[Problem, Esti
     elif from_windows:
         estimate = _from_other_shapes(study, _from_windows(study))
         estimate = in_the_best_valley(problem, estimate, tolerance_of(problem))
-        estimate = _nearer_the_model(problem, estimate)
+        estimate = _off_bounds(problem, _nearer_the_model(problem, estimate))
     else:
         estimate = fit_whole(problem, study.theta)
     problem, error = refine_steps(
@@ -173,6 +176,27 @@ def _nearer_the_model(problem: Problem, estimate: Estimate) -> Estimate:
         other = fit_whole(problem, own, goal=goal)
         if other.chi2 < goal:
             return other
+    return estimate
+
+
+def _off_bounds(problem: Problem, estimate: Estimate) -> Estimate:
+    """Return a fit with coefficients of effects that ended at an upper bound as small as they do the same.
+
+    A damper that holds a speed where it switches does so however strong it is beyond; the strongest one is stiff
+    for every integrator, that of the written file above all.
+    """
+    for k, p in enumerate(problem.parameters):
+        ended = estimate.theta[k] >= p.upper * (1.0 - AT_BOUND)
+        while "@" in p.name and ended and np.isfinite(p.upper):
+            theta = estimate.theta.copy()
+            theta[k] = max(SMALLER * theta[k], p.lower)
+            residuals = residuals_of(problem, [theta], [estimate.states])[0]
+            squares = float(sum(np.vdot(r, r) for r in residuals))
+            if not squares <= estimate.squares + NO_WORSE:
+                break
+            chi2 = estimate.chi2 + squares - estimate.squares
+            estimate = replace(estimate, theta=theta, residuals=residuals, chi2=chi2, point=None)
+            ended = theta[k] > p.lower
     return estimate
 
 
