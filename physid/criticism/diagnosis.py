@@ -236,16 +236,23 @@ def candidate_rows(study: Study, found: Diagnosis) -> list[dict[str, Any]]:
                 "nrmse_after": dict(
                     zip(names, map(finite, candidate.judgement.after), strict=True)
                 ),
-                "indistinguishable_from": [
-                    [{"effect": e, "location": p} for e, p in found.candidates[k].refit.sites()]
-                    for k in candidate.alike
-                ],
+                "indistinguishable_from": set_rows(alike_sites(found, candidate)),
                 "gain": finite(-candidate.score),
                 "score_rank": candidate.refit.rank,
                 "explained": finite(candidate.explained),
             }
         )
     return rows
+
+
+def alike_sites(found: Diagnosis, candidate: Candidate) -> tuple[tuple[tuple[str, str], ...], ...]:
+    """Return the effects and places of the candidates that cannot be told from one."""
+    return tuple(tuple(found.candidates[k].refit.sites()) for k in candidate.alike)
+
+
+def set_rows(alike: Sequence[Sequence[tuple[str, str]]]) -> list[list[dict[str, str]]]:
+    """Return sets of effects and places as the contract's ``indistinguishable_from``."""
+    return [[{"effect": e, "location": p} for e, p in sites] for sites in alike]
 
 
 def _ranked(

@@ -30,9 +30,12 @@ from physid.criticism.comparison import (
 from physid.criticism.diagnosis import (
     Candidate,
     Diagnosis,
+    alike_sites,
     candidate_rows,
     describe,
+    describe_sites,
     not_named,
+    set_rows,
     with_effects,
 )
 from physid.criticism.freeing import diagnosed_freely, with_freed
@@ -148,6 +151,8 @@ def _rounds(
         added = _added_one_by_one(study, tests, found, steps[-1])
         kept = _earning_their_place(steps[-1], added)
         steps += added[:kept]
+        if kept == 1 and len(added) == 1:
+            steps[-1] = replace(steps[-1], alike=alike_sites(found, found.candidates[0]))
         needed = needed_of(begun, steps) if kept and anew else None
         if needed is not None:
             more = [Lead(placed=p, source="an earlier look") for p in needed]
@@ -392,8 +397,16 @@ def _notes_so_far(study: Study, steps: Sequence[Step]) -> list[str]:
     ]
     return [
         *kept,
+        *map(_unsure_note, (s for s in steps[2:] if s.alike)),
         *(f"{f} is freed beside what was added: whole records tell it then." for f in freed),
     ]
+
+
+def _unsure_note(step: Step) -> str:
+    """Say from what a later step's effect could not be told; the first one's sets are the diagnosis'."""
+    structure = step.fitted.problem.model.structure
+    own = describe_sites([(p.effect.name, structure.label(p.place)) for p in step.added])
+    return f"These records cannot tell {own} from {' or '.join(map(describe_sites, step.alike))}."
 
 
 def _without_starts(
@@ -450,6 +463,7 @@ def _step_row(step: Step) -> dict[str, Any]:
         "train": nrmse_by_channel(channel_rows(fitted.problem, fitted.estimate)),
         "test": nrmse_by_channel(channel_rows(*step.tested)) if step.tested else {},
         "p_value": None if step.p_value is None else finite(step.p_value),
+        "indistinguishable_from": set_rows(step.alike),
     }
 
 

@@ -213,7 +213,9 @@ def _searched(
         # its way to noise, unless there is nothing to explain and all look alike; and all of a model
         # that runs away, whose first steps tell nothing.
         twin = unexplained and any(_looks_like(group, f, groups) for f in explaining)
-        followed_all = twin or (unexplained and long.runs_away)
+        # Nor does the first step of a late sensor, where what is little is told well by its linear gain.
+        promised = not unexplained and worst - group.gains.max() < limit
+        followed_all = twin or promised or (unexplained and long.runs_away)
         near = limit if explaining and not followed_all else np.inf
         goal = min(limit if explaining else np.inf, _goal(base, fits))
         fits += _refitted(base, long, kept, group, k, near, goal)

@@ -39,12 +39,16 @@ MOST_ALIKE = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """One step of a refinement: what was added, the fit, and how it does on the test records."""
+    """One step of a refinement: what was added, the fit, and how it does on the test records.
+
+    ``alike`` are the sets of effects and places that could not be told from what was added when it was.
+    """
 
     added: tuple[Placed, ...]
     fitted: Fitted
     tested: tuple[Problem, Estimate] | None
     p_value: float | None
+    alike: tuple[tuple[tuple[str, str], ...], ...] = ()
 
 
 def step_of(

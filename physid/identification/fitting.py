@@ -41,8 +41,8 @@ FAR_FROM_OWN, NO_WORSE = 1.4, 2.0
 """Times its own value from which a parameter has moved so far that the model's own values are another start, and
 squares over the noise's by which the fit from there may be worse to be as good."""
 AT_BOUND, SMALLER = 1e-6, 0.25
-"""Distance to a bound, as a share of it, of what ended there; and times itself that it is tried next, while the fit stays
-as good."""
+"""Distance to a bound, as a share of it, of what ended there; times itself that it is tried next, while the fit stays
+what it was."""
 MORE_THAN_WINDOWS = 1.01
 """Those of a minimum beside which another is looked for, from windows."""
 QUIET = 0.1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -116,7 +117,19 @@ def _both(refinement: Json, added: Sequence[str], truth: Sequence[str]) -> bool:
     alike = [[site(e) for e in group] for group in best["indistinguishable_from"]]
     groups = [first, *(alike if len(alike) <= LARGEST_SET else [])]
     later = [s for s in added if s not in first]
-    return set(truth) <= set(added) or any(set(truth) <= {*group, *later} for group in groups)
+    told = [_and_its_set(refinement, s) for s in later]
+    return set(truth) <= set(added) or any(
+        set(truth) <= {*group, *chosen} for group in groups for chosen in product(*told)
+    )
+
+
+def _and_its_set(refinement: Json, added: str) -> list[str]:
+    """Return what was added later, and the single effects that it was said not to be told from, if these are few."""
+    for step in refinement["steps"][1:]:
+        if [site(e) for e in step["added"]] == [added]:
+            alike = [group for group in step.get("indistinguishable_from", []) if len(group) == 1]
+            return [added, *(site(e) for [e] in alike)] if len(alike) < LARGEST_SET else [added]
+    return [added]
 
 
 def _covered(trial: Trial, refinement: Json) -> tuple[dict[str, bool], dict[str, list[float]]]:

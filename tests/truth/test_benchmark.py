@@ -162,7 +162,7 @@ def effect(text):
     return {"effect": name, "location": location}
 
 
-def refinement(*sites, alike=(), verdict="effect_missing", added=None, value=1.0):
+def refinement(*sites, alike=(), verdict="effect_missing", added=None, value=1.0, later_alike=()):
     candidates = [
         {
             "effects": [effect(s) for s in sites],
@@ -172,6 +172,7 @@ def refinement(*sites, alike=(), verdict="effect_missing", added=None, value=1.0
     ]
     rows = [{"name": f"{s}.force", "value": value, "std_error": 0.01} for s in sites]
     steps = [{"added": []}, *({"added": [effect(s)]} for s in (sites if added is None else added))]
+    steps[-1]["indistinguishable_from"] = [[effect(s) for s in group] for group in later_alike]
     return {
         "verdict": verdict,
         "remaining": "nothing_missing",
@@ -232,6 +233,22 @@ MARKED = [
         False,
         False,
         f"{OTHER} named for {TRUTH} and {THIRD}",
+    ),
+    (
+        trial("two", TRUTH, THIRD),
+        refinement(TRUTH, added=[TRUTH, OTHER], later_alike=[[THIRD]]),
+        True,
+        False,
+        "",
+    ),
+    (
+        trial("two", TRUTH, THIRD),
+        refinement(
+            TRUTH, added=[TRUTH, OTHER], later_alike=[[THIRD], *([f"cogging@{k}"] for k in "ab")]
+        ),
+        False,
+        False,
+        f"only {TRUTH} of {TRUTH} and {THIRD}",
     ),
     (trial("nothing"), refinement(verdict="nothing_missing"), True, True, ""),
     (trial("nothing"), refinement(TRUTH), False, False, f"{TRUTH} named for nothing"),
