@@ -22,6 +22,8 @@ from physid.identification.problem import Problem, residuals_of, with_activation
 from physid.identification.windows import Windows, initial_states, resting, state_indices
 from physid.plant.model import Model
 
+BEGINNING = 16
+"""Parts of a window, the first of which tells how it begins."""
 HUGE = 1e100
 """Larger parameters no longer change the size of a step: their squares would overflow."""
 FARTHEST = 5.0
@@ -214,7 +216,8 @@ def _at_rest(problem: Problem, theta: np.ndarray, states: list[np.ndarray]) -> l
     """Return guessed initial states; those with which records begin are at rest where that fits better.
 
     A record mostly begins so.  A speed, or the stretch of a spring, that is guessed from noise breaks loose what a
-    friction holds, and no step leads back from there.
+    friction holds, and no step leads back from there.  It must fit their beginnings better too: what stands still
+    leaves less over a whole record than a swing that is out of step at its end.
     """
     firsts = [np.flatnonzero(w.starts == 0) for w in problem.windows]
     begun = [e for e, w in enumerate(problem.windows) if len(firsts[e]) and w.simulator.compiled]
@@ -228,7 +231,10 @@ def _at_rest(problem: Problem, theta: np.ndarray, states: list[np.ndarray]) -> l
     found = [x.copy() for x in states]
     for k, e in enumerate(begun):
         left = np.array([np.sum(run[k] ** 2, axis=(1, 2)) for run in runs])
-        best = np.argmin(np.where(np.isfinite(left), left, np.inf), axis=0)
+        short = max(runs[0][k].shape[1] // BEGINNING, 2)
+        early = np.array([np.sum(run[k][:, :short] ** 2, axis=(1, 2)) for run in runs])
+        serves = np.isfinite(left) & (early <= early[:1])
+        best = np.argmin(np.where(serves, left, np.inf), axis=0)
         found[e][firsts[e]] = np.array([guesses[g][k][i] for i, g in enumerate(best)])
     return found
 
