@@ -10,9 +10,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from physid.plant.changes import padded
 from physid.plant.compiling import BORROWING, kept
 from physid.plant.network import Network, are_held
-from physid.plant.strides import TOGETHER, carry, several_strides, stride_map
+from physid.plant.strides import TOGETHER, carry, known_size, several_strides, stride_map
 
 ALIKE = 1e-9
 """Difference of initial changes, as a share of the largest, that is the rounding of their differences."""
@@ -65,7 +66,7 @@ def vary_linearly(
     d_reads = np.moveaxis((reads[1:] - reads[0]) / per, 0, -1)
     states, found = np.empty((w, samples, n)), np.empty((w, c, samples, len(sensor_map)))
     ends = np.empty((w, n, c))
-    size = _padded(n)
+    size = padded(n)
     _follow_linear(
         (maps[0], d_maps.reshape(*maps.shape[1:3], -1), _by_state(maps[0], n, size)),
         (reads[0], d_reads, bool(np.any(sensor_map[:, 1 + 2 * nv :]))),
@@ -80,18 +81,13 @@ def vary_linearly(
         found,
         ends,
         np.zeros(maps.shape[2]),
-        np.zeros((2, size, _padded(len(own)))),
-        np.zeros((2, size, _padded(len(shared)))),
+        np.zeros((2, size, padded(len(own)))),
+        np.zeros((2, size, padded(len(shared)))),
         np.zeros(n * len(changed)),
         np.zeros(n),
     )
     found[1:, shared], ends[1:, :, shared] = found[:1, shared], ends[:1, :, shared]
     return states, found, ends
-
-
-def _padded(count: int) -> int:
-    """Return a count, or a little more of what is taken together."""
-    return -(-count // TOGETHER) * TOGETHER
 
 
 def _stacked(inputs: list[np.ndarray], like: np.ndarray) -> np.ndarray:
@@ -112,7 +108,7 @@ def _maps(linears, sensor_map, n, nv, step, substeps):  # type: ignore[no-untype
     rubs, friction = np.zeros((0, nv)), np.zeros((0, 3))
     rows = sensor_map.shape[0]
     reads = np.zeros((linears.shape[0], rows, linears.shape[2]))
-    known = -(-linears.shape[2] // TOGETHER) * TOGETHER
+    known = known_size(linears[0], 0)
     maps = np.empty((linears.shape[0], 2, known, n))
     for k in range(linears.shape[0]):
         onward, _ = stride_map(linears[k], none, few, rubs, friction, nv, step, False)
